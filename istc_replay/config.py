@@ -1,0 +1,290 @@
+"""The configuration: one strict, frozen model, read from TOML.
+
+Every key carries its unit as suffix. Defaults are the paper's (Tables I and II) where the paper
+has them; docs/method.md says why for the others.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from pathlib import Path
+from typing import Annotated, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, ValidationError
+
+from istc_replay.errors import ConfigError
+
+Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
+NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
+Count = Annotated[int, Field(ge=1)]
+
+
+class _Section(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, use_attribute_docstrings=True)
+
+
+class TopicConfig(_Section):
+    """How to read one topic, where the schema alone does not tell."""
+
+    format: Literal["istc", "osi", "odometry", "ignore"] | None = None
+    """Read the topic as this format; unset: recognised from its schema."""
+    vehicle_id: str | None = None
+    """The vehicle that the topic belongs to; unset: from the message or the topic's name."""
+    reference_point: Literal["box_centre", "rear_axle", "base_link"] | None = None
+    """Which point of the vehicle the positions name; unset: the format's own."""
+    base_link_to_centre_m: float | None = None
+    """Distance from base_link forward to the box centre; needed for base_link."""
+
+
+class IngestConfig(_Section):
+    """Reading logs."""
+
+    time_source: Literal["header", "log", "publish"] = "header"
+    """Which time stamps the states: the message's own, the recorder's, or the publisher's."""
+    odometry_reference_point: Literal["box_centre", "rear_axle", "base_link"] = "rear_axle"
+    """What nav_msgs/Odometry poses name (Autoware: the rear axle)."""
+    base_link_to_centre_m: float = 0.0
+    """Distance from base_link forward to the box centre, for reference point base_link."""
+    topics: dict[str, TopicConfig] = {}
+    """Per topic, what differs from the above."""
+
+
+class WindowConfig(_Section):
+    """Cutting the log into windows."""
+
+    unit_s: Positive = 1.0
+    """Length of a time unit T: each corridor-cube holds for one."""
+    whole_log_s: Positive = 20.0
+    """A log no longer than this is one window."""
+    horizon_s: Positive = 8.0
+    """Length of a window of a longer log."""
+    stride_s: Positive = 8.0
+    """Distance from one window's start to the next."""
+    minimum_presence_units: Count = 2
+    """A vehicle present for fewer whole units is not planned."""
+
+
+class VehicleConfig(_Section):
+    """One vehicle; what is unset comes from the log, else from the defaults."""
+
+    length_m: Positive | None = None
+    """Box length."""
+    width_m: Positive | None = None
+    """Box width."""
+    wheelbase_m: Positive | None = None
+    """Distance between the axles."""
+    rear_axle_to_centre_m: float | None = None
+    """Distance from the rear axle forward to the box centre."""
+    priority: Positive | None = None
+    """Priority weight eta of eq. (4)."""
+
+
+class VehiclesConfig(_Section):
+    """Vehicles: defaults for what the log does not tell, and per-vehicle values."""
+
+    length_m: Positive = 4.0
+    """Default box length."""
+    width_m: Positive = 2.0
+    """Default box width."""
+    wheelbase_ratio: Positive = 0.675
+    """Default wheelbase as a share of the length (2.7 m of 4 m)."""
+    priority: Positive = 1.0
+    """Default priority weight eta."""
+    by_id: dict[str, VehicleConfig] = {}
+    """Values for single vehicles; they override the log."""
+
+
+class GuidanceConfig(_Section):
+    """Guidance trajectories."""
+
+    source: Literal["auto", "lane", "recorded"] = "auto"
+    """From lane lines, from the recorded path, or from a lane line where the log has one."""
+    speed_mps: Positive | None = None
+    """Constant speed; unset: the recorded mean while moving."""
+    stop_deceleration_mps2: Positive = 2.0
+    """Braking to the end of a recorded path whose vehicle stands still there."""
+
+
+class CorridorsConfig(_Section):
+    """Layer 1, eq. (1) to (12)."""
+
+    formulation: Literal["pivot_overlap", "paper"] = "pivot_overlap"
+    """Our reading, or the printed equations (with a loose big M and the diagonal car-box)."""
+    mode: Literal["certified", "fast"] = "certified"
+    """certified: prove the gap with the full MIQP; fast: the incumbent alone."""
+    area_weight: NonNegative = 0.5
+    """omega_area of eq. (2)."""
+    reference_weight: Positive = 10.0
+    """omega_ref of eq. (3)."""
+    forward_m: Positive = 10.0
+    """gamma_s+: longest step of a pivotal point in a second, and reach of a cube, eq. (9), (12)."""
+    backward_m: NonNegative = 1.0
+    """Reach of a cube behind its pivotal point, eq. (9)."""
+    sideways_m: NonNegative = 1.5
+    """Reach of a cube to either side of its pivotal point, eq. (9)."""
+    paper_backward_m: NonNegative = 5.0
+    """gamma_s-, used by the paper's formulation alone."""
+    paper_relaxation: Positive = 2.0
+    """alpha of eq. (9), used by the paper's formulation alone."""
+    vehicle_gap_m: NonNegative = 0.3
+    """gamma_v2v of eq. (5)."""
+    obstacle_gap_m: NonNegative = 0.2
+    """gamma_v2o of eq. (6)."""
+    heading_slack_rad: NonNegative = 0.4363323129985824
+    """The car-box is held for headings this far from the guidance's, eq. (7)."""
+    cone: NonNegative = 0.4
+    """mu: sideways step per forward step of a pivotal point, eq. (12)."""
+    acceleration_mps2: Positive = 1.5
+    """Largest second difference of the pivotal points forward."""
+    deceleration_mps2: Positive = 3.0
+    """Largest second difference backward."""
+    lateral_acceleration_mps2: Positive = 1.5
+    """Largest second difference sideways."""
+    gap_tolerance: Positive = 1e-3
+    """Certified means (objective - bound) / max(1, |objective|) at most this."""
+    tree_node_budget: Count = 4000
+    """Nodes of the conflict tree."""
+    milp_node_budget: Count = 200_000
+    """Nodes of all branch-and-bound runs of one certificate."""
+    rounds: Count = 12
+    """Rounds of the outer approximation."""
+    emergency_stop_s: Positive = 300.0
+    """Wall-clock stop of one solver call; reported when it strikes."""
+
+
+class TrajectoriesConfig(_Section):
+    """Layer 2, eq. (13) to (19)."""
+
+    integrator: Literal["rk4", "euler"] = "rk4"
+    """rk4, or the paper's explicit Euler (drifts from the true motion: a warning is given)."""
+    step_s: Positive = 0.2
+    """Control interval; with euler, 0.1 is the paper's."""
+    curvature_weight: NonNegative = 1.0
+    """omega_kappa of eq. (13)."""
+    steering_rate_weight: NonNegative = 100.0
+    """omega_beta of eq. (14)."""
+    jerk_weight: NonNegative = 1.0
+    """omega_j of eq. (14)."""
+    pivotal_x_weight: NonNegative = 1.0
+    """omega_px of eq. (15)."""
+    pivotal_y_weight: NonNegative = 1.0
+    """omega_py of eq. (15)."""
+    steering_max_rad: Annotated[float, Field(gt=0, lt=1.5)] = 0.6
+    """delta_max of eq. (18)."""
+    steering_rate_max_radps: Positive = 0.8
+    """Largest steering rate."""
+    acceleration_max_mps2: Positive = 3.0
+    """a_accmax of eq. (18)."""
+    deceleration_max_mps2: Positive = 4.0
+    """a_decmax of eq. (18)."""
+    jerk_max_mps3: Positive = 8.0
+    """Largest jerk."""
+    speed_max_mps: Positive = 10.0
+    """Largest speed; raised to 1.15 times the fastest recorded speed plus 1 where that is more."""
+    margin_m: NonNegative = 0.02
+    """The car-box keeps this distance from the walls of its cubes at the knots."""
+    iteration_budget: Count = 300
+    """IPOPT iterations of one solve."""
+    feedback_rounds: Annotated[int, Field(ge=0)] = 3
+    """How often layer 1 is tightened and solved again for a vehicle that cannot be driven."""
+
+
+class CertificateConfig(_Section):
+    """Certificates of a plan."""
+
+    step_s: Positive = 0.01
+    """Longest step of the re-integration."""
+    drift_tolerance_m: Positive = 0.05
+    """Largest distance between written and re-integrated states."""
+    tolerance_m: Positive = 1e-6
+    """Rounding allowed in distances."""
+    limit_tolerance: Positive = 1e-5
+    """Rounding allowed in steering, acceleration and speed limits."""
+    separation_m: NonNegative = 0.0
+    """Least distance between two planned boxes; their cubes' gap is checked as well."""
+
+
+class ViewConfig(_Section):
+    """The Rerun view."""
+
+    metres_per_second: Positive = 2.0
+    """Height of a second in the (x, y, t) view."""
+
+
+class Config(_Section):
+    """The whole configuration."""
+
+    ingest: IngestConfig = IngestConfig()
+    """Reading logs."""
+    window: WindowConfig = WindowConfig()
+    """Cutting the log into windows."""
+    vehicles: VehiclesConfig = VehiclesConfig()
+    """Dimensions and priorities."""
+    guidance: GuidanceConfig = GuidanceConfig()
+    """Guidance trajectories."""
+    corridors: CorridorsConfig = CorridorsConfig()
+    """Layer 1."""
+    trajectories: TrajectoriesConfig = TrajectoriesConfig()
+    """Layer 2."""
+    certificate: CertificateConfig = CertificateConfig()
+    """Certificates."""
+    view: ViewConfig = ViewConfig()
+    """The Rerun view."""
+
+
+def parse_config(text: str, name: str = "config") -> Config:
+    """Read a configuration from TOML text.
+
+    Raises
+    ------
+    ConfigError
+        If the text is not TOML, or a key is unknown or out of range; one line a fault.
+    """
+    try:
+        values = tomllib.loads(text)
+    except tomllib.TOMLDecodeError as error:
+        raise ConfigError(f"{name}: not TOML: {error}") from None
+    try:
+        # TOML has no null and writes 10 where a float is meant: json mode accepts both ints and floats.
+        return Config.model_validate(values)
+    except ValidationError as error:
+        raise ConfigError(f"{name}: " + "; ".join(_fault(fault) for fault in error.errors())) from None
+
+
+def load_config(path: Path | None) -> Config:
+    """Read a configuration file; None gives the defaults.
+
+    Raises
+    ------
+    ConfigError
+        If the file cannot be read or breaks a rule.
+    """
+    if path is None:
+        return Config()
+    try:
+        text = path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise ConfigError(f"{path}: cannot be read: {error}") from None
+    return parse_config(text, str(path))
+
+
+def _fault(fault: Any) -> str:
+    key = ".".join(str(part) for part in fault["loc"])
+    if fault["type"] == "extra_forbidden":
+        known = ", ".join(_known_keys(fault["loc"][:-1]))
+        return f"unknown key {key}; known here: {known}"
+    return f"{key} = {fault['input']!r}: {fault['msg']}"
+
+
+def _known_keys(location: tuple[Any, ...]) -> list[str]:
+    model: Any = Config
+    for part in location:
+        field = model.model_fields.get(part) if hasattr(model, "model_fields") else None
+        if field is None:
+            # A key of a table of tables: the entries share one model.
+            continue
+        model = field.annotation
+        for candidate in getattr(model, "__args__", ()):
+            if hasattr(candidate, "model_fields"):
+                model = candidate
+    return sorted(getattr(model, "model_fields", {}))

@@ -1,0 +1,433 @@
+"""The plain data that flows from the log to the outputs.
+
+Shapes, once for the whole project: V vehicles, K time units (corridor-cubes) of one vehicle,
+S samples of one trajectory, P points of one polyline, N time units of one window.
+
+Frames: the *map frame* is the log's own, right-handed, x east, y north, yaw counter-clockwise
+from +x in [-pi, pi). The *corridor frame* of a window is the map frame moved and turned by
+`Frame`; guidance, corridors and trajectories are solved in it, and cubes stay in it. A vehicle's
+reference point is the centre of its box everywhere except in `Trajectory.states`, whose
+kinematic bicycle lives on the rear axle.
+
+Arrays are float64 and read-only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from enum import StrEnum
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+if TYPE_CHECKING:
+    import polars as pl
+
+FloatArray = NDArray[np.float64]
+
+
+def read_only(values: ArrayLike, columns: int | None = None) -> FloatArray:
+    """Copy values into a read-only float64 array, of shape (n, columns) where columns is given."""
+    array = np.array(values, dtype=np.float64)
+    if columns is not None:
+        array = array.reshape(-1, columns)
+    array.setflags(write=False)
+    return array
+
+
+@dataclass(frozen=True, slots=True)
+class Dimensions:
+    """A vehicle's box and axles [m].
+
+    `rear_axle_to_centre_m` is the distance from the rear axle forward to the box centre:
+    wheelbase / 2 + (front overhang - rear overhang) / 2.
+    """
+
+    length_m: float
+    width_m: float
+    wheelbase_m: float
+    rear_axle_to_centre_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class Problem:
+    """Something in the input that is damaged, not understood or left out.
+
+    `code` is a stable lower_snake_case word, `detail` one line for people, `offset` the byte in
+    the file where one is known.
+    """
+
+    code: str
+    detail: str
+    offset: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class ChannelInfo:
+    """One channel of a log, as `info` tells it; `understood_as` is None where it is not read."""
+
+    topic: str
+    schema: str
+    schema_encoding: str
+    message_encoding: str
+    messages: int
+    understood_as: str | None
+
+
+# --- the static scene of a log ---------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LaneLine:
+    """A lane's centre line, shape (P, 2) [m, map frame]; `vehicle_id` says whose intent it is."""
+
+    lane_id: str
+    points_m: FloatArray
+    vehicle_id: str | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class SceneObstacle:
+    """A standing oriented box [m, rad, map frame]."""
+
+    obstacle_id: str
+    x_m: float
+    y_m: float
+    heading_rad: float
+    length_m: float
+    width_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class MapBounds:
+    """The axis-aligned rectangle of the map frame that no vehicle leaves [m]."""
+
+    x_min_m: float
+    x_max_m: float
+    y_min_m: float
+    y_max_m: float
+
+
+@dataclass(frozen=True, slots=True)
+class VehicleInfo:
+    """What the log says of a vehicle once and for all; None where it is silent."""
+
+    vehicle_id: str
+    priority: float | None = None
+    dimensions: Dimensions | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class StaticScene:
+    """Lane lines, obstacles, bounds and per-vehicle facts of a log."""
+
+    lane_lines: tuple[LaneLine, ...] = ()
+    obstacles: tuple[SceneObstacle, ...] = ()
+    bounds: MapBounds | None = None
+    vehicles: tuple[VehicleInfo, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Log:
+    """A log as read: the states table (see `states.STATES_SCHEMA`) and what else it told."""
+
+    path: str
+    sha256: str
+    complete: bool
+    messages: int
+    attachments: int
+    metadata: int
+    chunks: int
+    start_ns: int | None
+    end_ns: int | None
+    channels: tuple[ChannelInfo, ...]
+    states: pl.DataFrame
+    scene: StaticScene
+    problems: tuple[Problem, ...]
+    time_source: str = "header"
+
+
+# --- a window's scenario ---------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class Frame:
+    """The corridor frame: its origin and yaw in the map frame [m, rad]."""
+
+    x_m: float = 0.0
+    y_m: float = 0.0
+    yaw_rad: float = 0.0
+
+
+@dataclass(frozen=True, slots=True)
+class Window:
+    """A span of the log, cut into `units` time units of `unit_s` seconds."""
+
+    index: int
+    start_ns: int
+    end_ns: int
+    unit_s: float
+    units: int
+    frame: Frame
+
+
+@dataclass(frozen=True, slots=True)
+class StartState:
+    """Where a vehicle starts: box centre, heading and speed, in the corridor frame.
+
+    Steering and acceleration are None where the recording does not know them: the plan is then
+    free to choose them within the limits.
+    """
+
+    x_m: float
+    y_m: float
+    heading_rad: float
+    speed_mps: float
+    steering_rad: float | None = None
+    acceleration_mps2: float | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """A vehicle's recorded motion in one window, box centre, corridor frame.
+
+    `times_s` (S,) from the window's start, `poses` (S, 3) x, y, unwrapped heading,
+    `speeds_mps` (S,).
+    """
+
+    times_s: FloatArray
+    poses: FloatArray
+    speeds_mps: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Participant:
+    """A vehicle that takes part in units first_unit .. first_unit + units - 1 of a window."""
+
+    vehicle_id: str
+    dimensions: Dimensions
+    priority: float
+    first_unit: int
+    units: int
+    start: StartState
+    recording: Recording
+    lane_m: FloatArray | None = None  # (P, 2) of its intent, corridor frame
+    dimensions_source: str = "log"  # log, config or default
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Obstacle:
+    """Axis-aligned boxes of one obstacle, one row a unit of the window.
+
+    `boxes_m` (N, 4): x_min, x_max, y_min, y_max in the corridor frame; NaN where absent.
+    `outline_m` (4, 2) is the true outline where it stands still, else None.
+    """
+
+    obstacle_id: str
+    boxes_m: FloatArray
+    outline_m: FloatArray | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Exclusion:
+    """A vehicle that is not planned, and why (a stable code and a line for people)."""
+
+    vehicle_id: str
+    reason: str
+    detail: str
+
+
+@dataclass(frozen=True, slots=True)
+class Scenario:
+    """One window to plan: who takes part, what stands in the way, who was left out."""
+
+    window: Window
+    participants: tuple[Participant, ...]
+    obstacles: tuple[Obstacle, ...]
+    bounds_m: tuple[float, float, float, float] | None  # corridor frame, x_min x_max y_min y_max
+    excluded: tuple[Exclusion, ...] = ()
+    vehicles_present: int = 0
+
+
+# --- the two layers --------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Guidance:
+    """A vehicle's guidance trajectory, box centre, corridor frame.
+
+    `points_m` (K+1, 2) and `headings_rad` (K+1,) at the unit boundaries of the vehicle, the
+    first at its start; `times_s` (S,) from the window's start and `poses` (S, 3) for drawing
+    and as the NLP's first guess. `kind` is recorded or lane.
+    """
+
+    vehicle_id: str
+    kind: str
+    points_m: FloatArray
+    headings_rad: FloatArray
+    speed_mps: float
+    times_s: FloatArray
+    poses: FloatArray
+
+
+class SolveStatus(StrEnum):
+    """How a solve ended."""
+
+    OPTIMAL = "optimal"  # proven within the tolerance asked for
+    FEASIBLE = "feasible"  # a solution, its optimality not proven
+    INFEASIBLE = "infeasible"
+    LIMIT = "limit"  # the budget ended first, with no solution
+    ERROR = "error"
+
+
+@dataclass(frozen=True, slots=True)
+class SolveRecord:
+    """One call of one solver, as the solves table tells it."""
+
+    layer: str  # corridors or trajectory
+    stage: str
+    solver: str
+    status: SolveStatus
+    vehicle_id: str | None = None
+    objective: float | None = None
+    bound: float | None = None
+    gap: float | None = None
+    wall_s: float | None = None
+    iterations: int | None = None
+    nodes: int | None = None
+    binaries: int | None = None
+    detail: str = ""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Corridor:
+    """The spatio-temporal corridor of one vehicle, eq. (1), corridor frame.
+
+    `cubes_m` (K, 4): x_min, x_max, y_min, y_max of unit first_unit + row.
+    `pivots_m` (K+1, 2) and `references_m` (K+1, 2) at the unit boundaries.
+    """
+
+    vehicle_id: str
+    first_unit: int
+    cubes_m: FloatArray
+    pivots_m: FloatArray
+    references_m: FloatArray
+
+
+@dataclass(frozen=True, slots=True)
+class Corridors:
+    """The interactive spatio-temporal corridors of one window, eq. (4).
+
+    `corridors` is empty unless status is optimal or feasible. `gap` = (objective - bound) /
+    max(1, |objective|). `reason` says in one line why there is no solution.
+    """
+
+    status: SolveStatus
+    corridors: tuple[Corridor, ...] = ()
+    objective: float | None = None
+    bound: float | None = None
+    gap: float | None = None
+    found_by: str = ""
+    reason: str = ""
+    records: tuple[SolveRecord, ...] = ()
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Trajectory:
+    """An in-corridor trajectory, eq. (16): rear axle, corridor frame.
+
+    `times_s` (S,) from the window's start. `states` (S, 6): x, y, heading (unwrapped), steering
+    delta, speed v, acceleration a of the rear axle. `controls` (S-1, 2): steering rate beta and
+    jerk j, each held from its sample to the next.
+    """
+
+    vehicle_id: str
+    dimensions: Dimensions
+    times_s: FloatArray
+    states: FloatArray
+    controls: FloatArray
+    cost: float
+    costs: dict[str, float] = field(default_factory=dict)  # smoothness, comfort, pivotal
+
+
+@dataclass(frozen=True, slots=True)
+class Undrivable:
+    """Where a vehicle cannot be driven in its corridor: the unit, and how far it would stick out."""
+
+    vehicle_id: str
+    unit: int
+    slack_m: float
+    detail: str
+
+
+class Verdict(StrEnum):
+    """The outcome of one check; inconclusive is never pass."""
+
+    PASS = "pass"  # noqa: S105
+    FAIL = "fail"
+    INCONCLUSIVE = "inconclusive"
+    NOT_APPLICABLE = "not_applicable"
+
+
+@dataclass(frozen=True, slots=True)
+class Certificate:
+    """One check of one plan: its verdict, the least margin, and the witness.
+
+    `margin` is in `unit`, negative where the check fails; `time_s` (from the window's start),
+    `vehicles` and `detail` name the place of the least margin.
+    """
+
+    window: int
+    check: str
+    verdict: Verdict
+    margin: float | None
+    unit: str
+    time_s: float | None = None
+    vehicles: tuple[str, ...] = ()
+    detail: str = ""
+
+
+class WindowStatus(StrEnum):
+    """How a window ended."""
+
+    CERTIFIED = "certified"  # every plannable vehicle has a plan, every check passes
+    NOT_CERTIFIED = "not_certified"  # a plan, but a check fails or cannot be judged
+    NO_CORRIDORS = "no_corridors"
+    NOT_DRIVABLE = "not_drivable"
+    NOTHING_TO_PLAN = "nothing_to_plan"
+
+
+@dataclass(frozen=True, slots=True)
+class WindowPlan:
+    """A window's whole result before it is certified."""
+
+    scenario: Scenario
+    status: WindowStatus
+    reason: str = ""
+    guidance: tuple[Guidance, ...] = ()
+    corridors: Corridors | None = None
+    trajectories: tuple[Trajectory, ...] = ()
+    undrivable: tuple[Undrivable, ...] = ()
+    rounds: int = 1
+    records: tuple[SolveRecord, ...] = ()
+    seconds: dict[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Result:
+    """A result as read back from a result.mcap, the same truth that every view shows.
+
+    Tables have the columns of the contract (see `states.py`); positions of `states` are box
+    centres in the map frame. `corridors` and `obstacles` are in the window's corridor frame.
+    """
+
+    path: str
+    states: pl.DataFrame
+    corridors: pl.DataFrame
+    obstacles: pl.DataFrame
+    solves: pl.DataFrame
+    certificates: pl.DataFrame
+    scene: StaticScene
+    summary: dict[str, Any]
+    config_toml: str

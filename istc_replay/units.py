@@ -1,0 +1,36 @@
+"""Time and angle conversions, in the one place where they happen."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+NS_PER_S = 1_000_000_000
+
+
+def seconds_to_ns(seconds: float) -> int:
+    """Round float seconds to integer nanoseconds."""
+    return round(seconds * NS_PER_S)
+
+
+def ns_to_seconds(nanoseconds: int) -> float:
+    """Turn integer nanoseconds into float seconds (exact below 2**53 ns)."""
+    return nanoseconds / NS_PER_S
+
+
+def wrap_angle(angle_rad: ArrayLike) -> NDArray[np.float64]:
+    """Wrap angles to [-pi, pi).
+
+    Parameters
+    ----------
+    angle_rad : array_like
+        Angles of any shape [rad].
+
+    Returns
+    -------
+    ndarray
+        The same shape, in [-pi, pi) [rad].
+    """
+    wrapped = (np.asarray(angle_rad, dtype=np.float64) + np.pi) % (2.0 * np.pi) - np.pi
+    # The sum can round up to a whole turn for angles just below -pi.
+    return np.asarray(np.where(wrapped >= np.pi, -np.pi, wrapped))
