@@ -1,1 +1,1 @@
-"""TODO"""
+"""Reading logs: the only package that reads their bytes."""

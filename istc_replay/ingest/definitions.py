@@ -1,0 +1,69 @@
+"""The schemas and channels that a walk has met so far."""
+
+from __future__ import annotations
+
+from istc_replay.ingest.problems import Problems, quoted
+from istc_replay.ingest.records import Channel, Fields, Opcode, Schema, parse_channel, parse_schema
+from istc_replay.ingest.summary import Summary
+
+#: Bytes of schemas and channels held at once.
+_LIMIT = 128 * 2**20
+
+
+class Definitions:
+    """Schemas and channels by id; those of the summary stand in until the data declare them."""
+
+    def __init__(self, problems: Problems, summary: Summary) -> None:
+        self.channels: dict[int, Channel] = dict(summary.channels)
+        self._schemas: dict[int, Schema] = dict(summary.schemas)
+        self._declared: set[tuple[int, int]] = set()
+        self._problems = problems
+        self._held = 0
+
+    def declare(self, opcode: int, fields: Fields, offset: int) -> None:
+        """Take in a schema or channel record; the latest declaration of an id holds.
+
+        Raises
+        ------
+        MalformedRecordError
+            If its fields run past its end.
+        """
+        size = fields.end - fields.position
+        if self._held + size > _LIMIT:
+            self._problems.lose(
+                "too_many_definitions", "the schemas and channels are too long to be held", offset
+            )
+            return
+        new = self._schema(fields, offset) if opcode == Opcode.SCHEMA else self._channel(fields, offset)
+        if new:
+            self._held += size
+        if fields.replaced:
+            self._problems.add("not_utf8", "a name in a schema or channel is not UTF-8", offset)
+
+    def _schema(self, fields: Fields, offset: int) -> bool:
+        schema_id, schema = parse_schema(fields)
+        new = self._schemas.get(schema_id) != schema
+        if new and (Opcode.SCHEMA, schema_id) in self._declared:
+            self._problems.add(
+                "schema_conflict", f"schema {schema_id} is declared twice, differently", offset
+            )
+        self._schemas[schema_id] = schema
+        self._declared.add((Opcode.SCHEMA, schema_id))
+        return new
+
+    def _channel(self, fields: Fields, offset: int) -> bool:
+        schema_id, channel = parse_channel(fields, self._schemas)
+        known = self.channels.get(channel.id)
+        new = known is None or not known.same_as(channel)
+        if new:
+            # What is the same stays the same object: messages are counted by it.
+            self.channels[channel.id] = channel
+            topic = quoted(channel.topic)
+            if (Opcode.CHANNEL, channel.id) in self._declared:
+                detail = f"channel {channel.id} is declared twice: {topic} from here on"
+                self._problems.add("channel_conflict", detail, offset)
+            if schema_id and channel.schema is None:
+                detail = f"channel {topic} names schema {schema_id}, which is not declared"
+                self._problems.lose("missing_schema", detail, offset)
+        self._declared.add((Opcode.CHANNEL, channel.id))
+        return new

@@ -1,0 +1,392 @@
+"""Walking an MCAP file front to back, through whatever damage it has.
+
+The rule: a message is given if its record is whole and, inside a chunk, if the chunk is whole and
+its checksum holds. Everything else is left out and told as a problem. The summary is only a help:
+it lends channels whose declarations are lost, and places where the walk can go on after damage.
+"""
+
+from __future__ import annotations
+
+import mmap
+import zlib
+from bisect import bisect_right
+from collections.abc import Callable, Generator, Iterator
+from pathlib import Path
+
+from istc_replay.datatypes import Problem
+from istc_replay.errors import LogError
+from istc_replay.ingest.definitions import Definitions
+from istc_replay.ingest.inflate import CHUNK_LIMIT, InflateError, inflate
+from istc_replay.ingest.problems import Problems, quoted
+from istc_replay.ingest.records import (
+    FOOTER,
+    MAGIC,
+    MESSAGE,
+    PRIVATE,
+    RECORD,
+    Attachment,
+    Buffer,
+    Channel,
+    ChunkHead,
+    Fields,
+    MalformedRecordError,
+    Message,
+    Metadata,
+    Opcode,
+    Statistics,
+    crc_of,
+    parse_attachment,
+    parse_chunk,
+    parse_metadata,
+    parse_statistics,
+)
+from istc_replay.ingest.summary import Summary, read_summary
+
+#: Metadata held at once [bytes and records]; bytes that all chunks may inflate to.
+_HELD_BYTES = 128 * 2**20
+_INFLATION_FLOOR = 256 * 2**20
+_INFLATION_RATIO = 100
+_HELD_RECORDS = 10_000
+_SKIPPED = frozenset(Opcode) - {Opcode.FOOTER}
+
+Wanted = Callable[[Channel], bool]
+
+
+def open_log(source: Path | bytes) -> LogFile:
+    """Open an MCAP file, or its bytes, for walking.
+
+    Raises
+    ------
+    LogError
+        If there is nothing to walk: no such file, not a regular file, unreadable, or not MCAP.
+    """
+    if isinstance(source, bytes):
+        return LogFile(source, "<bytes>")
+    return LogFile(_map(source), str(source))
+
+
+def _map(path: Path) -> Buffer:
+    try:
+        if not path.exists():
+            raise LogError(f"{path}: no such file; give the path of an MCAP log")
+        if not path.is_file():
+            # Pipes and devices may never end.
+            raise LogError(f"{path}: not a regular file; give the path of an MCAP log")
+        with path.open("rb") as file:
+            if path.stat().st_size == 0:
+                return b""
+            return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
+    except (OSError, ValueError) as error:
+        reason = getattr(error, "strerror", None) or str(error)
+        raise LogError(f"{path}: cannot be read: {reason}") from None
+
+
+class LogFile:
+    """An open log. Walk it with `messages`; what the walk met stands in the attributes after it.
+
+    Attributes
+    ----------
+    name : str
+        The path, or `<bytes>`.
+    counts : dict[Channel, int]
+        Every channel met, and the number of its messages, wanted or not.
+    message_count, chunk_count, attachment_count, metadata_count : int
+        Whole records met.
+    attachments, metadata : list
+        The first 10 000 of each; `attachment_data` reads an attachment.
+    """
+
+    def __init__(self, buffer: Buffer, name: str) -> None:
+        self.name = name
+        self._buffer = buffer
+        self._size = len(buffer)
+        self._ends_well = self._size > len(MAGIC) and buffer[self._size - len(MAGIC) : self._size] == MAGIC
+        head = buffer[: len(MAGIC)]
+        if head != MAGIC and not self._ends_well:
+            what = f"it begins with {head!r}, not {MAGIC!r}" if self._size else "it is empty"
+            raise LogError(f"{name}: not an MCAP log: {what}; give an MCAP file")
+        self._reset()
+
+    def _reset(self, wants: Wanted | None = None) -> None:
+        self._wants = wants
+        self.counts: dict[Channel, int] = {}
+        self.message_count = self.chunk_count = self.attachment_count = self.metadata_count = 0
+        self.attachments: list[Attachment] = []
+        self.metadata: list[Metadata] = []
+        self._problems = Problems()
+        self._summary = Summary()
+        self._statistics: dict[int, Statistics] = {}
+        self._inflated = self._held = 0
+        self._wanted: dict[Channel, bool] = {}
+        self._definitions = Definitions(self._problems, self._summary)
+        self._begin, self._data_over = 0, False
+
+    @property
+    def complete(self) -> bool:
+        """The file ends as it should and, as far as it was walked, nothing in it was left out."""
+        return not self._problems.lost
+
+    @property
+    def problems(self) -> tuple[Problem, ...]:
+        """What the walk found damaged or left out."""
+        return self._problems.found()
+
+    def attachment_data(self, attachment: Attachment) -> bytes:
+        """Read the data of one of the attachments."""
+        return self._buffer[attachment.start : attachment.start + attachment.size]
+
+    def messages(self, wanted: Wanted | None = None) -> Iterator[Message]:
+        """Walk the file from its start and give the messages in file order.
+
+        Parameters
+        ----------
+        wanted : callable, optional
+            Which channels' messages to give, asked once a channel; all without it.
+
+        Yields
+        ------
+        Message
+            Each message whose record, and chunk, is whole.
+        """
+        self._reset(wanted)
+        self._read_summary()
+        if self._buffer[: len(MAGIC)] != MAGIC:
+            self._problems.add(
+                "no_magic", "the file does not begin with MCAP's magic bytes, but ends with them", 0
+            )
+        begin: int | None = 0
+        while begin is not None:
+            begin = yield from self._segment(begin)
+            for channel in self._definitions.channels.values():
+                self.counts.setdefault(channel, 0)
+            # A file joined to the end of another has its own channels.
+            self._definitions = Definitions(self._problems, Summary())
+        self._compare_counts()
+
+    def _read_summary(self) -> None:
+        try:
+            self._summary = read_summary(self._buffer)
+            self._definitions = Definitions(self._problems, self._summary)
+        except MalformedRecordError as error:
+            self._problems.add(
+                "summary_damaged", f"{error}; the summary is not used", self._size - len(MAGIC) - FOOTER.size
+            )
+
+    def _compare_counts(self) -> None:
+        if not self._statistics:
+            return
+        found = (self.message_count, self.attachment_count, self.metadata_count, self.chunk_count)
+        names = ("messages", "attachments", "metadata records", "chunks")
+        # Files joined end to end have a summary each.
+        parts = [(s.messages, s.attachments, s.metadata, s.chunks) for s in self._statistics.values()]
+        for name, count, stated in zip(names, found, map(sum, zip(*parts, strict=True)), strict=True):
+            if count != stated:
+                tell = self._problems.lose if stated > count else self._problems.add
+                tell("statistics", f"the summary states {stated} {name}, {count} were found")
+
+    # --- the walk ----------------------------------------------------------------------------
+
+    def _segment(self, begin: int) -> Generator[Message, None, int | None]:
+        """Walk one MCAP file; returns where the next begins, if another is joined to its end."""
+        self._begin, self._data_over = begin, False
+        position: int | None = begin + len(MAGIC)
+        while position is not None:
+            head = self._head(position)
+            if head is None:
+                position = self._next_anchor(position)
+                continue
+            opcode, start, end = head
+            if opcode == Opcode.MESSAGE:
+                message = self._message(self._buffer, start, end, position)
+                if message is not None:
+                    yield message
+            elif opcode == Opcode.CHUNK:
+                yield from self._chunk(start, end, position)
+            elif opcode == Opcode.FOOTER and self._ends_at(end):
+                return self._after(end)
+            else:
+                self._other(opcode, start, end, position)
+            position = end
+        return None
+
+    def _head(self, position: int) -> tuple[int, int, int] | None:
+        """Opcode, start and end of the content of the record at position; None where there is none."""
+        left = self._size - position
+        if left < RECORD.size:
+            self._cut("the file ends without a footer", position)
+            return None
+        opcode, length = RECORD.unpack_from(self._buffer, position)
+        start = position + RECORD.size
+        if length > self._size - start:
+            self._cut(f"a record of {length} bytes where the file has {self._size - start} left", position)
+            return None
+        anchor = self._next_anchor(position)
+        if opcode == 0 or (anchor is not None and start + length > anchor):
+            detail = f"no record begins here (kind {opcode}, {length} bytes)"
+            self._problems.lose("record_damaged", f"{detail}; the walk goes on at byte {anchor}", position)
+            return None
+        return opcode, start, start + length
+
+    def _cut(self, detail: str, position: int) -> None:
+        # A file that still ends with the magic was not cut: a length in it is wrong.
+        self._problems.lose("record_damaged" if self._ends_well else "truncated", detail, position)
+
+    def _next_anchor(self, position: int) -> int | None:
+        index = bisect_right(self._summary.anchors, position)
+        return self._summary.anchors[index] if index < len(self._summary.anchors) else None
+
+    def _ends_at(self, end: int) -> bool:
+        left = self._size - end
+        return left <= len(MAGIC) or self._buffer[end : end + len(MAGIC)] == MAGIC
+
+    def _after(self, end: int) -> int | None:
+        """Judge what follows a footer; returns where another file begins there."""
+        if not self._data_over:
+            self._problems.add("no_data_end", "the data section is not closed by a data end record", end)
+        rest = end + len(MAGIC)
+        if self._size < rest:
+            self._problems.lose("truncated", "the file ends inside the magic bytes after its footer", end)
+        elif self._buffer[end:rest] != MAGIC:
+            self._problems.add("no_magic", "the file does not end with MCAP's magic bytes", end)
+        if self._size <= rest:
+            return None
+        if self._buffer[rest : rest + len(MAGIC)] == MAGIC:
+            self._problems.add(
+                "joined_files", "another MCAP file begins after the end of this one; both are read", rest
+            )
+            return rest
+        self._problems.add(
+            "trailing_bytes", f"{self._size - rest} bytes after the end of the file are not read", rest
+        )
+        return None
+
+    def _chunk(self, start: int, end: int, offset: int) -> Iterator[Message]:
+        self.chunk_count += 1
+        try:
+            data = self._inflate(parse_chunk(Fields(self._buffer, start, end)), offset)
+        except InflateError as error:
+            self._problems.lose(error.code, f"{error}; the chunk is left out", offset)
+            return
+        except MalformedRecordError as error:
+            self._problems.lose("chunk_damaged", f"{error}; the chunk is left out", offset)
+            return
+        try:
+            yield from self._chunk_records(data, offset)
+        except MalformedRecordError as error:
+            self._problems.lose("chunk_damaged", f"{error}; the rest of the chunk is left out", offset)
+
+    def _chunk_records(self, data: bytes, offset: int) -> Iterator[Message]:
+        position, size = 0, len(data)
+        while position < size:
+            start = position + RECORD.size
+            if start > size:
+                raise MalformedRecordError("a chunk ends inside the head of a record")
+            opcode, length = RECORD.unpack_from(data, position)
+            position = start + length
+            if position > size:
+                raise MalformedRecordError(
+                    f"a record of {length} bytes where its chunk has {size - start} left"
+                )
+            if opcode == Opcode.MESSAGE:
+                message = self._message(data, start, position, offset)
+                if message is not None:
+                    yield message
+            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                self._definitions.declare(opcode, Fields(data, start, position), offset)
+            else:
+                self._problems.add(
+                    "unexpected_record", f"record kind {opcode} inside a chunk is not read", offset
+                )
+
+    def _inflate(self, chunk: ChunkHead, offset: int) -> bytes:
+        size, longest = chunk.uncompressed_size, max(chunk.uncompressed_size, chunk.size)
+        if longest > CHUNK_LIMIT:
+            raise InflateError(
+                "chunk_too_long", f"a chunk of {longest} bytes, above the limit of {CHUNK_LIMIT}"
+            )
+        if self._inflated + size > _INFLATION_FLOOR + _INFLATION_RATIO * self._size:
+            raise InflateError(
+                "inflation_limit", f"the chunks before hold {self._inflated} bytes, the most allowed"
+            )
+        data = inflate(chunk.compression, self._buffer[chunk.start : chunk.start + chunk.size], size)
+        self._inflated += len(data)
+        sound = zlib.crc32(data) == chunk.crc
+        if len(data) != size:
+            detail = f"a chunk of {size} bytes holds {'more' if len(data) > size else len(data)}"
+            if not (chunk.crc and sound):
+                raise InflateError("chunk_damaged", detail)
+            self._problems.add("chunk_size", detail, offset)
+        if chunk.crc and not sound:
+            raise InflateError("chunk_crc", f"a chunk of {size} bytes does not match its checksum")
+        return data
+
+    def _message(self, buffer: Buffer, start: int, end: int, offset: int) -> Message | None:
+        if not MESSAGE.size <= end - start <= MESSAGE.size + CHUNK_LIMIT:
+            self._problems.lose("record_damaged", f"a message record of {end - start} bytes", offset)
+            return None
+        channel_id, sequence, log_time_ns, publish_time_ns = MESSAGE.unpack_from(buffer, start)
+        self.message_count += 1
+        channel = self._definitions.channels.get(channel_id)
+        if channel is None:
+            self._problems.lose(
+                "unknown_channel", f"a message of channel {channel_id}, which is not declared", offset
+            )
+            return None
+        self.counts[channel] = self.counts.get(channel, 0) + 1
+        wanted = self._wanted.get(channel)
+        if wanted is None:
+            wanted = self._wanted[channel] = self._wants is None or self._wants(channel)
+        if not wanted:
+            return None
+        data = buffer[start + MESSAGE.size : end]
+        return Message(channel, sequence, log_time_ns, publish_time_ns, data, offset)
+
+    # --- records that are not messages ---------------------------------------------------------
+
+    def _other(self, opcode: int, start: int, end: int, offset: int) -> None:
+        fields = Fields(self._buffer, start, end)
+        try:
+            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                if not self._data_over:  # after that, the summary says it again
+                    self._definitions.declare(opcode, fields, offset)
+            elif opcode == Opcode.ATTACHMENT:
+                self._attachment(fields, offset)
+            elif opcode == Opcode.METADATA:
+                self._metadata(fields, offset)
+            elif opcode == Opcode.STATISTICS:
+                self._statistics[self._begin] = parse_statistics(fields)
+            elif opcode == Opcode.DATA_END:
+                self._data_end(fields.uint(4), offset)
+            elif opcode < PRIVATE and opcode not in _SKIPPED:
+                self._problems.add("unknown_record", f"a record of kind {opcode} is not read", offset)
+        except MalformedRecordError as error:
+            self._problems.lose("record_damaged", f"a record of kind {opcode}: {error}", offset)
+
+    def _attachment(self, fields: Fields, offset: int) -> None:
+        start = fields.position
+        attachment, crc = parse_attachment(fields)
+        self.attachment_count += 1
+        if crc and crc_of(self._buffer, start, attachment.start + attachment.size) != crc:
+            detail = f"attachment {quoted(attachment.name)} does not match its checksum; it is left out"
+            self._problems.lose("attachment_crc", detail, offset)
+        elif self._may_hold(len(self.attachments), 0, offset):
+            self.attachments.append(attachment)
+
+    def _metadata(self, fields: Fields, offset: int) -> None:
+        size = fields.end - fields.position
+        self.metadata_count += 1
+        if self._may_hold(len(self.metadata), size, offset):
+            self._held += size
+            self.metadata.append(parse_metadata(fields))
+
+    def _may_hold(self, held: int, size: int, offset: int) -> bool:
+        fits = held < _HELD_RECORDS and self._held + size <= _HELD_BYTES
+        if not fits:
+            self._problems.lose("too_many_records", "more attachments or metadata than are held", offset)
+        return fits
+
+    def _data_end(self, crc: int, offset: int) -> None:
+        if crc and not self._data_over and crc_of(self._buffer, self._begin, offset) != crc:
+            detail = f"bytes {self._begin} to {offset} do not match their checksum"
+            self._problems.lose("data_crc", detail, offset)
+        self._data_over = True
