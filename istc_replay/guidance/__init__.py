@@ -1,1 +1,1 @@
-"""TODO"""
+"""Guidance trajectories: what each vehicle would drive if it were alone."""

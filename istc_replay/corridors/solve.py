@@ -1,0 +1,272 @@
+"""Solving layer 1: the stages, their budgets, and what each found."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from istc_replay.corridors import cbc, conflict_tree
+from istc_replay.corridors.formulation import build_problem
+from istc_replay.corridors.miqp import MilpModel, build_milp, chosen_options
+from istc_replay.corridors.paper import PAPER_BIG_M, build_paper_problem
+from istc_replay.corridors.polish import polish
+from istc_replay.datatypes import Corridors, FloatArray, SolveRecord, SolveStatus
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from istc_replay.config import CorridorsConfig
+    from istc_replay.corridors.problem import CorridorProblem, Disjunction, Limits
+    from istc_replay.datatypes import Guidance, Scenario
+
+#: Seeds of the first tangents where there is no incumbent yet [m from the reference].
+_COARSE_SEEDS_M = (-8.0, -4.0, -2.0, -1.0, -0.5, 0.5, 1.0, 2.0, 4.0, 8.0)
+#: CBC may leave this share of the wanted gap open in each round.
+_GAP_SHARE = 0.25
+
+
+@dataclass(slots=True)
+class _Search:
+    """The incumbent and the bound while the stages run."""
+
+    problem: CorridorProblem
+    z: FloatArray | None = None
+    objective: float = np.inf
+    bound: float = -np.inf
+    found_by: str = ""
+    records: list[SolveRecord] = field(default_factory=list)
+
+    def offer(self, z: FloatArray | None, stage: str) -> bool:
+        """Take z as the incumbent if it is better."""
+        if z is None:
+            return False
+        objective = self.problem.objective(z)
+        if objective >= self.objective:
+            return False
+        self.z, self.objective, self.found_by = z, objective, stage
+        return True
+
+    @property
+    def gap(self) -> float | None:
+        """(objective - bound) / max(1, |objective|)."""
+        if self.z is None or not np.isfinite(self.bound):
+            return None
+        return max(0.0, self.objective - self.bound) / max(1.0, abs(self.objective))
+
+    def record(self, stage: str, solver: str, status: SolveStatus, began: float, **figures: object) -> None:
+        """Note one solver call of layer 1."""
+        self.records.append(
+            replace(
+                SolveRecord("corridors", stage, solver, status, wall_s=time.perf_counter() - began),
+                **figures,  # type: ignore[arg-type]
+            )
+        )
+
+
+def solve_corridors(
+    scenario: Scenario,
+    guidance: Sequence[Guidance],
+    config: CorridorsConfig,
+    limits: Mapping[str, Limits],
+    speed_max_mps: float,
+) -> Corridors:
+    """Construct the interactive spatio-temporal corridors of a window, eq. (4).
+
+    Every outcome is returned, none is raised, save a missing or dying solver (SolveError).
+    """
+    paper = config.formulation == "paper"
+    build = build_paper_problem if paper else build_problem
+    problem = build(scenario, guidance, config, limits, speed_max_mps)
+    if problem.impossible:
+        return Corridors(SolveStatus.INFEASIBLE, reason=_conflict_text(problem.impossible[0]))
+    if np.any(problem.lower > problem.upper + 1e-9):
+        return Corridors(SolveStatus.INFEASIBLE, reason=_bounds_text(problem))
+    search = _Search(problem)
+    if not paper:
+        proven = _incumbent(search, config)
+        if proven is not None:
+            return replace(proven, records=tuple(search.records))
+    if config.mode == "certified" or search.z is None:
+        _prove(search, config, PAPER_BIG_M if paper else None)
+    else:
+        _relax(search)
+    return _outcome(search, config)
+
+
+def _outcome(search: _Search, config: CorridorsConfig) -> Corridors:
+    records = tuple(search.records)
+    if search.z is None:
+        infeasible = any(r.status is SolveStatus.INFEASIBLE for r in records)
+        status = SolveStatus.INFEASIBLE if infeasible else SolveStatus.LIMIT
+        reason = (
+            "no corridors satisfy eq. (5) to (12) together"
+            if infeasible
+            else "the node budget ended before corridors were found; raise corridors.tree_node_budget"
+        )
+        return Corridors(status, reason=reason, records=records)
+    gap = search.gap
+    proven = gap is not None and gap <= config.gap_tolerance
+    return Corridors(
+        status=SolveStatus.OPTIMAL if proven else SolveStatus.FEASIBLE,
+        corridors=search.problem.corridors(search.z),
+        objective=search.objective,
+        bound=search.bound if np.isfinite(search.bound) else None,
+        gap=gap,
+        found_by=search.found_by,
+        records=records,
+    )
+
+
+def _incumbent(search: _Search, config: CorridorsConfig) -> Corridors | None:
+    """Stages A, B and C; returns an outcome only where A proves that there is no solution."""
+    problem = search.problem
+    began = time.perf_counter()
+    tree = conflict_tree.search(problem, config.tree_node_budget)
+    search.offer(tree.z, "conflict tree")
+    status = SolveStatus.FEASIBLE if tree.z is not None else SolveStatus.LIMIT
+    if tree.exhausted:
+        status = SolveStatus.INFEASIBLE
+    search.record(
+        "conflict tree", "daqp", status, began, nodes=tree.nodes, objective=_finite(search.objective)
+    )
+    if tree.exhausted:
+        where = "" if tree.last_conflict is None else _conflict_text(problem.disjunctions[tree.last_conflict])
+        reason = where or "the limits of eq. (9) to (12) contradict each other or the map's bounds"
+        return Corridors(SolveStatus.INFEASIBLE, reason=reason)
+    if tree.z is None:
+        return None
+    sized = _size_cubes(search, tree.z, config)
+    began = time.perf_counter()
+    z = polish(problem, chosen_options(problem, sized))
+    search.offer(z, "joint polish")
+    search.record(
+        "joint polish",
+        "piqp",
+        SolveStatus.FEASIBLE if z is not None else SolveStatus.ERROR,
+        began,
+        objective=None if z is None else problem.objective(z),
+    )
+    return None
+
+
+def _size_cubes(search: _Search, z: FloatArray, config: CorridorsConfig) -> FloatArray:
+    """Stage B: the largest cubes around fixed pivotal points, a small MILP."""
+    began = time.perf_counter()
+    problem = search.problem
+    lower, upper = np.array(problem.lower), np.array(problem.upper)
+    pivots = problem.pivot_indices
+    lower[pivots] = upper[pivots] = np.clip(z[pivots], lower[pivots], upper[pivots])
+    milp = build_milp(problem, lower=lower, upper=upper, squares=False)
+    run = cbc.solve(
+        milp.model,
+        gap=0.0,
+        node_budget=config.milp_node_budget,
+        emergency_stop_s=config.emergency_stop_s,
+    )
+    found = run.status in (SolveStatus.OPTIMAL, SolveStatus.FEASIBLE)
+    sized = milp.solution() if found else z
+    search.offer(sized, "cube sizes")
+    search.record(
+        "cube sizes",
+        "cbc",
+        run.status,
+        began,
+        objective=problem.objective(sized),
+        nodes=run.nodes,
+        iterations=run.iterations,
+        binaries=milp.binaries,
+    )
+    return sized
+
+
+def _prove(search: _Search, config: CorridorsConfig, big_m: float | None) -> None:
+    """The full MIQP by outer approximation, until the gap is closed or the budget spent."""
+    problem = search.problem
+    milp = build_milp(problem, big_m=big_m)
+    _seed_tangents(milp, search.z)
+    nodes_left = config.milp_node_budget
+    for round_ in range(1, config.rounds + 1):
+        began = time.perf_counter()
+        if search.z is not None:
+            milp.set_start(search.z)
+        run = cbc.solve(
+            milp.model,
+            gap=config.gap_tolerance * _GAP_SHARE,
+            node_budget=nodes_left,
+            emergency_stop_s=config.emergency_stop_s,
+            warm_start=search.z is not None,
+        )
+        nodes_left -= run.nodes
+        if run.bound is not None:
+            search.bound = max(search.bound, run.bound)
+        found = run.status in (SolveStatus.OPTIMAL, SolveStatus.FEASIBLE)
+        if found:
+            relaxed = milp.solution()
+            better = polish(problem, chosen_options(problem, relaxed))
+            search.offer(better, f"outer approximation, round {round_}")
+            new = milp.add_tangents(relaxed) + (0 if better is None else milp.add_tangents(better))
+        search.record(
+            f"outer approximation {round_}",
+            "cbc",
+            run.status,
+            began,
+            objective=_finite(search.objective),
+            bound=_finite(search.bound),
+            gap=search.gap,
+            nodes=run.nodes,
+            iterations=run.iterations,
+            binaries=milp.binaries,
+            detail=run.detail,
+        )
+        gap = search.gap
+        closed = gap is not None and gap <= config.gap_tolerance
+        if closed or not found or nodes_left <= 0 or new == 0:
+            return
+
+
+def _seed_tangents(milp: MilpModel, z: FloatArray | None) -> None:
+    reference = milp.problem.reference
+    centre = reference if z is None else z
+    milp.add_tangents(centre)
+    for offset in _COARSE_SEEDS_M if z is None else (-1.0, -0.3, 0.3, 1.0):
+        milp.add_tangents(centre + offset)
+
+
+def _relax(search: _Search) -> None:
+    """Fast mode's own bound: the QP without any disjunction."""
+    began = time.perf_counter()
+    z = polish(search.problem, None)
+    if z is not None:
+        search.bound = search.problem.objective(z) - 1e-6
+    search.record(
+        "relaxation",
+        "piqp",
+        SolveStatus.FEASIBLE if z is not None else SolveStatus.ERROR,
+        began,
+        bound=_finite(search.bound),
+        gap=search.gap,
+    )
+
+
+def _finite(value: float) -> float | None:
+    return value if np.isfinite(value) else None
+
+
+def _conflict_text(conflict: Disjunction) -> str:
+    return (
+        f"{conflict.first} and {conflict.second} cannot be separated in time unit {conflict.unit} "
+        f"({conflict.equation})"
+    )
+
+
+def _bounds_text(problem: CorridorProblem) -> str:
+    for block in problem.blocks:
+        for k in range(block.units):
+            walls = np.concatenate([block.cube[k], block.pivot[k + 1]])
+            if np.any(problem.lower[walls] > problem.upper[walls] + 1e-9):
+                unit = block.first_unit + k
+                return f"{block.vehicle_id} has no room within the map's bounds in time unit {unit}"
+    return "the bounds contradict each other"
