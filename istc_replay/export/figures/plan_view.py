@@ -1,0 +1,288 @@
+"""Seen from above: trajectories, recorded beside planned, and a filmstrip of the conflict."""
+
+from __future__ import annotations
+
+from math import ceil
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PolyCollection
+from matplotlib.colors import to_rgba
+from matplotlib.figure import Figure
+
+from istc_replay.datatypes import FloatArray
+from istc_replay.export.colours import OBSTACLE
+from istc_replay.export.figures.closest import ClosestPair
+from istc_replay.export.figures.style import (
+    CONTACT,
+    INK,
+    MUTED,
+    VehicleStyle,
+    foot_height_in,
+    foot_legend,
+    hex_colour,
+    new_figure,
+    origin_note,
+)
+from istc_replay.export.figures.tracks import Track, WindowScene
+
+#: View: x from, x to, y from, y to [m].
+View = tuple[float, float, float, float]
+
+_WIDTH_IN = 9.9
+_FRAMES = 6
+#: Half the side of a filmstrip's frame is at least this [m].
+_NEAR_M = 14.0
+_TICK_M = 0.9
+_LABELS = 60
+#: Past this many vehicles their names would cover the picture.
+_NAMED = 20
+_PLANNED: dict[str, Any] = {"linestyle": "-", "linewidth": 1.8}
+_RECORDED: dict[str, Any] = {"linestyle": (0, (4, 1.8)), "linewidth": 1.3}
+
+
+def draw_top_down(scene: WindowScene, recorded: ClosestPair | None) -> Figure:
+    """Draw trajectories with a tick each second, recorded beside planned, as the paper's Fig. 7.
+
+    The boxes stand where the vehicles are when the recording brings two of them closest.
+    """
+    panels = [("recorded", scene.recorded, _RECORDED)]
+    if scene.has_plan:
+        panels.append(("planned", scene.planned, _PLANNED))
+    view = _view(scene)
+    styles = [scene.styles[name] for name in scene.recorded | scene.planned]
+    figure, all_axes = _top_down_axes(len(panels), (view[3] - view[2]) / (view[1] - view[0]), styles)
+    for axes, (title, tracks, look) in zip(all_axes, panels, strict=True):
+        _set_view(axes, view)
+        _draw_ground(axes, scene)
+        for name, track in tracks.items():
+            _draw_path(axes, scene, name, track, look)
+        _label_seconds(axes, scene, tracks)
+        axes.set_title(title)
+        if recorded is not None:
+            _draw_boxes(axes, scene, tracks, recorded.time_s, filled=True)
+            axes.set_title(f"{title}; boxes at {recorded.time_s:.1f} s")
+            axes.plot(*recorded.place_m, "o", markersize=30, markerfacecolor="none", markeredgecolor=CONTACT)
+        _draw_scale(axes)
+    foot_legend(figure, styles, [(title, look) for title, _, look in panels])
+    origin_note(figure, scene.origin_m, at_top=True)
+    return figure
+
+
+def _top_down_axes(panels: int, ratio: float, styles: list[VehicleStyle]) -> tuple[Figure, list[Axes]]:
+    """Lay panels of a height to width ratio side by side, or below each other where they are flat."""
+    columns = 2 if panels == 2 and ratio > 0.55 else 1
+    rows = panels // columns
+    width_in = min(_WIDTH_IN * (0.97 / columns) - 0.62, 6.2 / ratio)
+    height_in = width_in * ratio
+    foot_in, head_in, between_in = 0.5 + foot_height_in(styles), 0.3, 0.65
+    total_in = foot_in + rows * (height_in + head_in) + (rows - 1) * between_in
+    figure = new_figure(_WIDTH_IN, total_in)
+    all_axes = []
+    for index in range(panels):
+        row, column = divmod(index, columns)
+        left_in = 0.6 + column * (width_in + 0.62)
+        bottom_in = foot_in + (rows - 1 - row) * (height_in + head_in + between_in)
+        place = (left_in / _WIDTH_IN, bottom_in / total_in, width_in / _WIDTH_IN, height_in / total_in)
+        all_axes.append(figure.add_axes(place))
+    return figure, all_axes
+
+
+def draw_filmstrip(scene: WindowScene, conflict: ClosestPair) -> Figure:
+    """Draw instants about the closest approach of the recording: cubes, planned and recorded boxes."""
+    step_s = max(scene.unit_s, scene.duration_s / 12.0)
+    first_s = float(np.clip(conflict.time_s - 2.5 * step_s, 0.0, max(scene.duration_s - 5.0 * step_s, 0.0)))
+    times_s = np.minimum(first_s + step_s * np.arange(_FRAMES), scene.duration_s)
+    reach = max(_NEAR_M, 3.0 * max(scene.recorded[name].length_m for name in conflict.pair))
+    x, y = conflict.place_m
+    columns, rows = 3, ceil(_FRAMES / 3)
+    side = (_WIDTH_IN - 0.9) / columns - 0.15
+    styles = [scene.styles[name] for name in scene.recorded | scene.planned]
+    foot_in = 0.5 + foot_height_in(styles)
+    total_in = rows * (side + 0.35) + foot_in
+    figure = new_figure(_WIDTH_IN, total_in)
+    for index, time_s in enumerate(times_s):
+        row, column = divmod(index, columns)
+        left_in = 0.6 + column * (side + 0.25)
+        bottom_in = foot_in + (rows - 1 - row) * (side + 0.35)
+        axes = figure.add_axes((left_in / _WIDTH_IN, bottom_in / total_in, side / _WIDTH_IN, side / total_in))
+        _set_view(axes, (x - reach, x + reach, y - reach, y + reach))
+        if row < rows - 1:
+            axes.set(xlabel="", xticklabels=[])
+        if column:
+            axes.set(ylabel="", yticklabels=[])
+        _draw_ground(axes, scene)
+        _draw_cubes(axes, scene, float(time_s))
+        _draw_boxes(axes, scene, scene.recorded, float(time_s), filled=False)
+        _draw_boxes(axes, scene, scene.planned, float(time_s), filled=True)
+        axes.set_title(f"t = {time_s:.1f} s")
+    meaning: list[tuple[str, dict[str, Any]]] = [
+        ("box as recorded", {"linestyle": (0, (2, 1.2)), "linewidth": 1.1})
+    ]
+    if scene.has_plan:
+        planned: list[tuple[str, dict[str, Any]]] = [("box as planned", {"linewidth": 5, "alpha": 0.6})]
+        meaning = [*planned, *meaning, ("corridor-cube", {"linewidth": 0.8})]
+    foot_legend(figure, styles, meaning)
+    origin_note(figure, scene.origin_m, at_top=True)
+    return figure
+
+
+def _view(scene: WindowScene) -> View:
+    """What all paths need, with a margin; never flatter than 1:5, so that the lanes can be told apart."""
+    tracks = [*scene.recorded.values(), *scene.planned.values()]
+    points = [track.poses[:, :2] for track in tracks]
+    if not points:
+        return -10.0, 10.0, -10.0, 10.0
+    margin = 1.5 * max(track.length_m for track in tracks)
+    stacked = np.concatenate(points)
+    low, high = stacked.min(axis=0) - margin, stacked.max(axis=0) + margin
+    size = high - low
+    extra = np.maximum(size.max() / np.array([2.0, 5.0]) - size, 0.0) / 2.0
+    low, high = low - extra, high + extra
+    return float(low[0]), float(high[0]), float(low[1]), float(high[1])
+
+
+def _set_view(axes: Axes, view: View) -> None:
+    axes.set(xlim=view[:2], ylim=view[2:], xlabel="x [m]", ylabel="y [m]", aspect="equal")
+
+
+def _draw_ground(axes: Axes, scene: WindowScene) -> None:
+    if len(scene.lanes_m):
+        axes.plot(*scene.lanes_m.T, color=MUTED, linewidth=0.7, zorder=0.6)
+    if len(scene.standing_m):
+        grey = hex_colour(OBSTACLE)
+        axes.add_collection(
+            PolyCollection(
+                list(scene.standing_m),
+                facecolors=to_rgba(grey, 0.35),
+                edgecolors=grey,
+                linewidths=0.8,
+                hatch="xxx",
+            ),
+            autolim=False,
+        )
+
+
+def _draw_path(axes: Axes, scene: WindowScene, name: str, track: Track, look: dict[str, Any]) -> None:
+    style = scene.styles[name]
+    _, points = track.with_gaps(track.poses[:, :2])
+    axes.plot(*points.T, color=style.colour, **look)
+    poses = track.at(_seconds(track))
+    poses = poses[np.isfinite(poses[:, 0])]
+    if len(poses):
+        across = _TICK_M * np.column_stack([-np.sin(poses[:, 2]), np.cos(poses[:, 2])])
+        ticks = np.stack([poses[:, :2] - across, poses[:, :2] + across], axis=1)
+        axes.add_collection(LineCollection(list(ticks), colors=style.colour, linewidths=0.9), autolim=False)
+    start = track.poses[0]
+    axes.plot(
+        *start[:2], style.marker, color=style.colour, markersize=5, markeredgecolor=INK, markeredgewidth=0.5
+    )
+    if len(scene.styles) <= _NAMED:
+        # Behind the start, where nothing has been driven.
+        aside = (-11.0 * np.cos(start[2]), -11.0 * np.sin(start[2]))
+        axes.annotate(
+            style.label,
+            start[:2],
+            xytext=aside,
+            textcoords="offset points",
+            fontsize=7,
+            ha="center" if abs(aside[0]) < 6.0 else ("right" if aside[0] < 0.0 else "left"),
+            va="center",
+            annotation_clip=True,
+        )
+
+
+def _seconds(track: Track) -> FloatArray:
+    return np.arange(ceil(track.times_s[0] - 1e-9), np.floor(track.times_s[-1] + 1e-9) + 1.0)
+
+
+def _label_seconds(axes: Axes, scene: WindowScene, tracks: dict[str, Track]) -> None:
+    """Write the seconds beside their ticks, as many as stay legible."""
+    step = next((s for s in (1, 2, 5, 10, 20, 50) if len(tracks) * scene.duration_s / s <= _LABELS), 100)
+    for track in tracks.values():
+        seconds = _seconds(track)
+        seconds = seconds[(seconds % step == 0) & (seconds > 0)]
+        for second, (x, y, heading) in zip(seconds, track.at(seconds), strict=True):
+            if np.isfinite(x):
+                aside = 1.9 * _TICK_M
+                axes.text(
+                    x - aside * np.sin(heading),
+                    y + aside * np.cos(heading),
+                    f"{second:.0f}",
+                    fontsize=6,
+                    color=MUTED,
+                    ha="center",
+                    va="center",
+                    clip_on=True,
+                )
+
+
+def _draw_boxes(
+    axes: Axes, scene: WindowScene, tracks: dict[str, Track], time_s: float, *, filled: bool
+) -> None:
+    """Draw all vehicles' boxes at one instant with their noses marked."""
+    boxes, colours = [], []
+    for name, track in tracks.items():
+        box = track.boxes(np.array([time_s]))[0]
+        if np.isfinite(box).all():
+            style = scene.styles[name]
+            boxes.append(box)
+            colours.append(style.colour)
+            if filled:
+                axes.plot(*box.mean(axis=0), style.marker, color=INK, markersize=3, zorder=4, clip_on=True)
+    if not boxes:
+        return
+    fills = [to_rgba(colour, 0.55 if filled else 0.0) for colour in colours]
+    axes.add_collection(
+        PolyCollection(
+            boxes,
+            facecolors=fills,
+            edgecolors=INK if filled else colours,
+            linewidths=0.9 if filled else 1.1,
+            linestyles="-" if filled else [(0, (2, 1.2))],
+            zorder=3,
+        ),
+        autolim=False,
+    )
+    corners = np.array(boxes)
+    centres = corners.mean(axis=1)
+    noses = np.stack([centres, corners[:, :2].mean(axis=1)], axis=1)
+    axes.add_collection(
+        LineCollection(list(noses), colors=INK if filled else colours, linewidths=0.8, zorder=3),
+        autolim=False,
+    )
+
+
+def _draw_cubes(axes: Axes, scene: WindowScene, time_s: float) -> None:
+    outlines, colours = [], []
+    for name, shape in scene.corridors.items():
+        now = (shape.spans_s[:, 0] <= time_s + 1e-9) & (time_s - 1e-9 <= shape.spans_s[:, 1])
+        outlines += list(shape.outlines_m[now])
+        colours += [scene.styles[name].colour] * int(now.sum())
+    if outlines:
+        fills = [to_rgba(colour, 0.1) for colour in colours]
+        axes.add_collection(
+            PolyCollection(outlines, facecolors=fills, edgecolors=colours, linewidths=0.8, zorder=2),
+            autolim=False,
+        )
+
+
+def _draw_scale(axes: Axes) -> None:
+    """Draw a bar of a round length into the lower right corner."""
+    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
+    length = max(
+        (r for r in (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000) if r <= 0.2 * (right - left)), default=1
+    )
+    x, y = right - 0.03 * (right - left), bottom + 0.03 * (right - left)
+    axes.plot([x - length, x], [y, y], color=INK, linewidth=2.0, solid_capstyle="butt", zorder=5)
+    axes.text(
+        x - length / 2.0,
+        y + 0.01 * (right - left),
+        f"{length} m",
+        ha="center",
+        va="bottom",
+        fontsize=7,
+        zorder=5,
+    )
+    axes.set(xlim=(left, right), ylim=(bottom, top))
