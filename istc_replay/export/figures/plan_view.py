@@ -18,6 +18,7 @@ from istc_replay.export.figures.style import (
     CONTACT,
     INK,
     MUTED,
+    NAMED,
     VehicleStyle,
     foot_height_in,
     foot_legend,
@@ -36,8 +37,6 @@ _FRAMES = 6
 _NEAR_M = 14.0
 _TICK_M = 0.9
 _LABELS = 60
-#: Past this many vehicles their names would cover the picture.
-_NAMED = 20
 _PLANNED: dict[str, Any] = {"linestyle": "-", "linewidth": 1.8}
 _RECORDED: dict[str, Any] = {"linestyle": (0, (4, 1.8)), "linewidth": 1.3}
 
@@ -178,7 +177,7 @@ def _draw_path(axes: Axes, scene: WindowScene, name: str, track: Track, look: di
     axes.plot(
         *start[:2], style.marker, color=style.colour, markersize=5, markeredgecolor=INK, markeredgewidth=0.5
     )
-    if len(scene.styles) <= _NAMED:
+    if len(scene.recorded) <= NAMED:
         # Behind the start, where nothing has been driven.
         aside = (-11.0 * np.cos(start[2]), -11.0 * np.sin(start[2]))
         axes.annotate(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -30,9 +31,7 @@ def draw_speed_acceleration(scene: WindowScene) -> Figure:
     """Draw speed and acceleration over time, recorded and planned, as the paper's Fig. 8."""
     figure = new_figure(9.9, 5.4)
     axes = [figure.add_axes((0.065, bottom, 0.75, 0.415)) for bottom in (0.555, 0.085)]
-    limits = scene.config.trajectories
-    quantities = ("speeds_mps", "accelerations_mps2")
-    for target, quantity in zip(axes, quantities, strict=True):
+    for target, quantity in zip(axes, ("speeds_mps", "accelerations_mps2"), strict=True):
         for name, track in scene.recorded.items():
             _draw_line(target, scene, name, track, quantity, _RECORDED, planned=False)
         for name, track in scene.planned.items():
@@ -41,8 +40,10 @@ def draw_speed_acceleration(scene: WindowScene) -> Figure:
         target.margins(y=0.08)
     axes[0].set(ylabel="speed [m/s]", xticklabels=[])
     axes[1].set(ylabel="acceleration [m/s²]", xlabel="time from the window's start [s]")
-    _draw_limits(axes[0], 0.0, limits.speed_max_mps)
-    _draw_limits(axes[1], -limits.deceleration_max_mps2, limits.acceleration_max_mps2)
+    if scene.planned:
+        limits = scene.config.trajectories
+        _draw_limits(axes[0], [0.0] + [limits.speed_max_mps] * (not _limit_is_raised(scene)))
+        _draw_limits(axes[1], [-limits.deceleration_max_mps2, limits.acceleration_max_mps2])
     names = list(scene.recorded | scene.planned)
     vehicle_legend(
         figure, [scene.styles[name] for name in names], loc="upper left", bbox_to_anchor=(0.825, 0.99)
@@ -82,11 +83,19 @@ def _draw_line(
         )
 
 
-def _draw_limits(axes: Axes, low: float, high: float) -> None:
+def _limit_is_raised(scene: WindowScene) -> bool:
+    """Whether traffic was so fast that the plan's largest speed is not the configured one."""
+    fastest = max(
+        (float(np.nanmax(track.speeds_mps, initial=0.0)) for track in scene.recorded.values()), default=0.0
+    )
+    return 1.15 * fastest + 1.0 > scene.config.trajectories.speed_max_mps
+
+
+def _draw_limits(axes: Axes, limits: Iterable[float]) -> None:
     """Draw limits, but do not squeeze the lines for one that is far away."""
     bottom, top = axes.get_ylim()
     reach = 0.6 * (top - bottom)
-    for limit in (low, high):
+    for limit in limits:
         if bottom - reach <= limit <= top + reach:
             axes.axhline(limit, **_LIMIT)
 

@@ -19,6 +19,7 @@ from istc_replay.export.colours import OBSTACLE
 from istc_replay.export.figures.style import (
     INK,
     MUTED,
+    NAMED,
     PAPER,
     VehicleStyle,
     hex_colour,
@@ -54,7 +55,7 @@ def draw_all_corridors(scene: WindowScene) -> Figure:
         axes, [(scene.styles[name], shape) for name, shape in scene.corridors.items()], scene.obstacles
     )
     for name, shape in scene.corridors.items():
-        _draw_pivots(axes, shape, scene.styles[name])
+        _draw_pivots(axes, shape, scene.styles[name], named=len(scene.corridors) <= NAMED)
     shown = [scene.styles[name] for name in scene.corridors]
     vehicle_legend(figure, shown, loc="upper left", bbox_to_anchor=(0.83, 0.95))
     meaning: list[tuple[str, dict[str, Any]]] = [("pivotal points", {"marker": "o", "markersize": 4})]
@@ -153,7 +154,8 @@ def _space_time_axes(
         axis.set_pane_color((1.0, 1.0, 1.0, 0.0))
         axis.set_label_text(name)
         axis.labelpad = -1.0
-        axis.set_major_locator(MaxNLocator(nbins=5, steps=[1, 2, 5, 10]))
+        short = axis is not axes.zaxis and size["xy".index(axis.axis_name)] < 0.45 * size.max()
+        axis.set_major_locator(MaxNLocator(nbins=2 if short else 5, steps=[1, 2, 5, 10]))
     axes.tick_params(pad=0)
     _fill_place(axes, place)
     return axes
@@ -248,7 +250,7 @@ def _standing(shape: CorridorShape) -> CorridorShape:
     )
 
 
-def _draw_pivots(axes: Any, shape: CorridorShape, style: VehicleStyle) -> None:
+def _draw_pivots(axes: Any, shape: CorridorShape, style: VehicleStyle, *, named: bool) -> None:
     axes.plot(*shape.pivots_m.T, shape.knots_s, color=PAPER, linewidth=2.6, zorder=2)
     axes.plot(
         *shape.pivots_m.T,
@@ -261,4 +263,8 @@ def _draw_pivots(axes: Any, shape: CorridorShape, style: VehicleStyle) -> None:
         linewidth=1.4,
         zorder=3,
     )
-    axes.text(*shape.pivots_m[-1], shape.knots_s[-1] + 0.35, style.label, fontsize=7.5, ha="center", zorder=6)
+    if named:
+        above_s = 0.05 * float(axes.get_zlim()[1])
+        axes.text(
+            *shape.pivots_m[-1], shape.knots_s[-1] + above_s, style.label, fontsize=7.5, ha="center", zorder=6
+        )

@@ -26,6 +26,8 @@ CONTACT = "#c8321f"
 MARKERS = "os^Dvp<>Ph"
 LABEL_CHARACTERS = 22
 LEGEND_ENTRIES = 12
+#: Up to this many vehicles are named beside their paths, more in the legend alone.
+NAMED = 8
 
 _STYLE: dict[str, Any] = {
     "axes.axisbelow": True,
