@@ -1,0 +1,232 @@
+"""A result as Foxglove messages: transforms, planned paths and a scene, all in the frame `map`.
+
+Every message of `/istc/scene` holds all there is to see at its instant, since a player that jumps
+in time shows the last message alone; whatever it shows ends with the next message.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from itertools import groupby
+
+import numpy as np
+from foxglove_schemas_protobuf.Color_pb2 import Color
+from foxglove_schemas_protobuf.CubePrimitive_pb2 import CubePrimitive
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
+from foxglove_schemas_protobuf.FrameTransforms_pb2 import FrameTransforms
+from foxglove_schemas_protobuf.LinePrimitive_pb2 import LinePrimitive
+from foxglove_schemas_protobuf.Point3_pb2 import Point3
+from foxglove_schemas_protobuf.Pose_pb2 import Pose
+from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
+from foxglove_schemas_protobuf.Quaternion_pb2 import Quaternion
+from foxglove_schemas_protobuf.SceneEntity_pb2 import SceneEntity
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
+from foxglove_schemas_protobuf.TextPrimitive_pb2 import TextPrimitive
+from foxglove_schemas_protobuf.Vector3_pb2 import Vector3
+from google.protobuf.duration_pb2 import Duration
+from google.protobuf.timestamp_pb2 import Timestamp
+
+from istc_replay.config import VehiclesConfig
+from istc_replay.datatypes import FloatArray, Log, StaticScene, WindowPlan
+from istc_replay.export.colours import LANE, OBSTACLE, Colour
+from istc_replay.export.encode import Stamped
+from istc_replay.export.film import Block, Frames, Track, blocks, film, scene_colours, tracks
+from istc_replay.export.placing import first_ns, planned_motions, topic_name
+from istc_replay.units import NS_PER_S
+
+MAP = "map"
+_CAR_HEIGHT_M, _LABEL_HEIGHT_M = 1.5, 0.6
+#: Points of lane lines in the whole file, before they stand in the first scene alone.
+_LINE_POINTS_LIMIT = 500_000
+
+
+def foxglove_messages(log: Log, plans: Sequence[WindowPlan], vehicles: VehiclesConfig) -> Iterator[Stamped]:
+    """Give `/tf`, `/istc/path/<vehicle>` and `/istc/scene`.
+
+    Transforms lead from `map` to the box centres `recorded/<vehicle>` at every recorded state and
+    `vehicle/<vehicle>` at every knot of the plan, and to `corridor/<window>`. Where windows lie
+    over each other, the later window's plan is shown.
+
+    Parameters
+    ----------
+    log : Log
+        What was recorded.
+    plans : sequence of WindowPlan
+        One a window, in order.
+    vehicles : VehiclesConfig
+        The sizes at which vehicles of unknown size are drawn.
+    """
+    shown = tracks(log, plans, vehicles)
+    yield from _transforms(shown, plans)
+    yield from _paths(plans)
+    frames = film(shown, blocks(plans, scene_colours(log, plans)))
+    yield from _scenes(frames, log.scene, first_ns(log, plans))
+
+
+# --- transforms and paths --------------------------------------------------------------------
+
+
+def _transforms(shown: Sequence[Track], plans: Sequence[WindowPlan]) -> Iterator[Stamped]:
+    rows: list[tuple[int, str, list[float]]] = []
+    for plan in plans:
+        window = plan.scenario.window
+        pose = [window.frame.x_m, window.frame.y_m, window.frame.yaw_rad]
+        rows.append((window.start_ns, f"corridor/{window.index}", pose))
+    for track in shown:
+        rows += [
+            (time_ns, track.frame_id, pose)
+            for time_ns, pose in zip(track.times_ns.tolist(), track.poses.tolist(), strict=True)
+        ]
+    rows.sort(key=lambda row: row[0])
+    for time_ns, group in groupby(rows, key=lambda row: row[0]):
+        stamp = _timestamp(time_ns)
+        transforms = [
+            FrameTransform(
+                timestamp=stamp,
+                parent_frame_id=MAP,
+                child_frame_id=frame_id,
+                translation=Vector3(x=x, y=y, z=0.0),
+                rotation=_rotation(heading),
+            )
+            for _, frame_id, (x, y, heading) in group
+        ]
+        yield time_ns, "/tf", FrameTransforms(transforms=transforms)
+
+
+def _paths(plans: Sequence[WindowPlan]) -> Iterator[Stamped]:
+    motions = planned_motions(plans)
+    starts = {(motion.vehicle_id, int(motion.times_ns[0])) for motion in motions}
+    last_ns = max((int(motion.times_ns[-1]) for motion in motions), default=0)
+    for motion in motions:
+        topic = f"/istc/path/{topic_name(motion.vehicle_id)}"
+        start_ns, end_ns = int(motion.times_ns[0]), int(motion.times_ns[-1])
+        poses = [_pose(*pose) for pose in motion.poses.tolist()]
+        yield start_ns, topic, PosesInFrame(timestamp=_timestamp(start_ns), frame_id=MAP, poses=poses)
+        followed = (motion.vehicle_id, end_ns) in starts
+        if end_ns < last_ns and not followed:
+            # A path has no lifetime: an empty one takes it off the screen.
+            yield end_ns, topic, PosesInFrame(timestamp=_timestamp(end_ns), frame_id=MAP)
+
+
+# --- the scene -------------------------------------------------------------------------------
+
+
+def _scenes(frames: Frames, scene: StaticScene, start_ns: int) -> Iterator[Stamped]:
+    still = SceneUpdate(entities=_still_entities(scene, start_ns))
+    points = sum(len(line.points_m) for line in scene.lane_lines)
+    repeated = points * len(frames.times_ns) <= _LINE_POINTS_LIMIT
+    yielded = False
+    for time_ns, cars, boxes in frames:
+        message = SceneUpdate()
+        if repeated or not yielded:
+            message.MergeFrom(still)
+        message.entities.extend(_box_entity(block) for block in boxes)
+        message.entities.extend(_car_entity(time_ns, *car) for car in cars)
+        yielded = True
+        yield time_ns, "/istc/scene", message
+    if not yielded and still.entities:
+        yield start_ns, "/istc/scene", still
+
+
+def _car_entity(time_ns: int, track: Track, pose: Sequence[float], lifetime_ns: int) -> SceneEntity:
+    x, y, heading = pose
+    cube = CubePrimitive(
+        pose=_pose(x, y, heading, _CAR_HEIGHT_M / 2.0),
+        size=Vector3(x=track.length_m, y=track.width_m, z=_CAR_HEIGHT_M),
+        color=_colour(track.colour, track.opacity),
+    )
+    label = TextPrimitive(
+        pose=_pose(x, y, 0.0, _CAR_HEIGHT_M + _LABEL_HEIGHT_M),
+        billboard=True,
+        font_size=_LABEL_HEIGHT_M,
+        color=_colour(track.colour, 1.0),
+        text=track.label,
+    )
+    return SceneEntity(
+        timestamp=_timestamp(time_ns),
+        frame_id=MAP,
+        id=track.entity_id,
+        lifetime=_duration(lifetime_ns),
+        cubes=[cube],
+        texts=[label] if track.label else [],
+    )
+
+
+def _box_entity(block: Block) -> SceneEntity:
+    x, y, yaw = block.pose
+    cube = CubePrimitive(
+        pose=_pose(x, y, yaw, block.height_m / 2.0),
+        size=Vector3(x=block.length_m, y=block.width_m, z=block.height_m),
+        color=_colour(block.colour, block.opacity),
+    )
+    return SceneEntity(
+        timestamp=_timestamp(block.start_ns),
+        frame_id=MAP,
+        id=block.entity_id,
+        lifetime=_duration(block.end_ns - block.start_ns),
+        cubes=[cube],
+    )
+
+
+def _still_entities(scene: StaticScene, start_ns: int) -> list[SceneEntity]:
+    """What stands for the whole log: lane lines, obstacles and bounds, without a lifetime."""
+    stamp = _timestamp(start_ns)
+    entities = [
+        SceneEntity(
+            timestamp=stamp, frame_id=MAP, id=f"lane/{index}", lines=[_line(line.points_m, closed=False)]
+        )
+        for index, line in enumerate(scene.lane_lines)
+    ]
+    for obstacle in scene.obstacles:
+        cube = CubePrimitive(
+            pose=_pose(obstacle.x_m, obstacle.y_m, obstacle.heading_rad, 0.5),
+            size=Vector3(x=obstacle.length_m, y=obstacle.width_m, z=1.0),
+            color=_colour(OBSTACLE, 0.9),
+        )
+        name = f"standing/{topic_name(obstacle.obstacle_id)}"
+        entities.append(SceneEntity(timestamp=stamp, frame_id=MAP, id=name, cubes=[cube]))
+    if scene.bounds is not None:
+        b = scene.bounds
+        corners = np.array(
+            [[b.x_min_m, b.y_min_m], [b.x_max_m, b.y_min_m], [b.x_max_m, b.y_max_m], [b.x_min_m, b.y_max_m]]
+        )
+        lines = [_line(corners, closed=True)]
+        entities.append(SceneEntity(timestamp=stamp, frame_id=MAP, id="bounds", lines=lines))
+    return entities
+
+
+# --- primitives ------------------------------------------------------------------------------
+
+
+def _line(points_m: FloatArray, closed: bool) -> LinePrimitive:
+    return LinePrimitive(
+        type=LinePrimitive.LINE_LOOP if closed else LinePrimitive.LINE_STRIP,
+        pose=_pose(0.0, 0.0, 0.0),
+        thickness=2.0,
+        scale_invariant=True,
+        points=[Point3(x=x, y=y, z=0.0) for x, y in points_m.tolist()],
+        color=_colour(LANE, 0.8),
+    )
+
+
+def _pose(x_m: float, y_m: float, heading_rad: float, z_m: float = 0.0) -> Pose:
+    return Pose(position=Vector3(x=x_m, y=y_m, z=z_m), orientation=_rotation(heading_rad))
+
+
+def _rotation(heading_rad: float) -> Quaternion:
+    return Quaternion(x=0.0, y=0.0, z=np.sin(heading_rad / 2.0), w=np.cos(heading_rad / 2.0))
+
+
+def _colour(colour: Colour, opacity: float) -> Color:
+    red, green, blue = colour
+    return Color(r=red / 255.0, g=green / 255.0, b=blue / 255.0, a=opacity)
+
+
+def _timestamp(time_ns: int) -> Timestamp:
+    seconds, nanos = divmod(time_ns, NS_PER_S)
+    return Timestamp(seconds=seconds, nanos=nanos)
+
+
+def _duration(time_ns: int) -> Duration:
+    seconds, nanos = divmod(time_ns, NS_PER_S)
+    return Duration(seconds=seconds, nanos=nanos)
