@@ -18,6 +18,12 @@ from istc_replay.samples.drive import RecordedScene
 
 Row = dict[str, Any]
 
+_SIZE_FIELDS = ("length_m", "width_m", "wheelbase_m", "rear_axle_to_centre_m")
+_STATE_FIELDS = (
+    *("time_ns", "vehicle_id", "x_m", "y_m", "heading_rad"),
+    *("speed_mps", "acceleration_mps2", "steering_rad"),
+)
+
 
 def sample_bytes(recorded: RecordedScene, format: str = "istc") -> bytes:  # noqa: A002
     """Write a recorded scene as an MCAP log.
@@ -80,13 +86,8 @@ def _encoded(message: Any) -> bytes:
 
 
 def _vehicle_state(row: Row) -> Any:
-    known = (
-        "time_ns", "vehicle_id", "x_m", "y_m", "heading_rad", "speed_mps", "acceleration_mps2", "steering_rad",
-    )  # fmt: skip
-    size = ("length_m", "width_m", "wheelbase_m", "rear_axle_to_centre_m")
-    return messages.message("VehicleState")(
-        **{name: row[name] for name in known}, dimensions={name: row[name] for name in size}
-    )
+    known = {name: row[name] for name in _STATE_FIELDS}
+    return messages.message("VehicleState")(**known, dimensions={name: row[name] for name in _SIZE_FIELDS})
 
 
 def _scene(scene: StaticScene) -> Any:

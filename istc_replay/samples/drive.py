@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import polars as pl
 
-from istc_replay.datatypes import Dimensions, StaticScene
+from istc_replay.datatypes import Dimensions, FloatArray, StaticScene
 from istc_replay.geometry import shift_along
 from istc_replay.samples.paths import Curve, Pace
 from istc_replay.states import STATES_SCHEMA, conform
@@ -51,13 +51,18 @@ def record_drives(
     return RecordedScene(name, scene, conform(pl.concat(tables), STATES_SCHEMA))
 
 
+def box_centres(poses: FloatArray, dimensions: Dimensions) -> FloatArray:
+    """Box centres (S, 2) of rear-axle poses (S, 3) [m]."""
+    return shift_along(poses[:, 0], poses[:, 1], poses[:, 2], dimensions.rear_axle_to_centre_m)
+
+
 def _states(drive: Drive, start_ns: int, duration_s: int) -> pl.DataFrame:
     offsets_ns = np.arange(0, duration_s * NS_PER_S + 1, _PERIOD_NS)
     distance, speed, acceleration = drive.pace.at(offsets_ns / NS_PER_S)
     along = drive.from_m + distance
     poses = drive.path.poses(along)  # (S, 3)
     size = drive.dimensions
-    centres = shift_along(*poses.T, size.rear_axle_to_centre_m)
+    centres = box_centres(poses, size)
     values = {
         "x_m": centres[:, 0],
         "y_m": centres[:, 1],
@@ -79,7 +84,7 @@ def _states(drive: Drive, start_ns: int, duration_s: int) -> pl.DataFrame:
     )
 
 
-def _rounded(values: np.ndarray) -> np.ndarray:
+def _rounded(values: FloatArray) -> FloatArray:
     # Adding zero turns -0.0 into 0.0.
     return np.round(values, RESOLUTION_DECIMALS) + 0.0
 

@@ -12,8 +12,7 @@ import math
 import numpy as np
 
 from istc_replay.datatypes import Dimensions, LaneLine, StaticScene, VehicleInfo, read_only
-from istc_replay.geometry import shift_along
-from istc_replay.samples.drive import Drive, RecordedScene, record_drives
+from istc_replay.samples.drive import Drive, RecordedScene, box_centres, record_drives
 from istc_replay.samples.paths import Curve, Pace, Pose, smooth_curve
 
 #: Vehicles of the paper: 4 m x 2 m, wheelbase 2.7 m, equal overhangs.
@@ -75,6 +74,5 @@ def _lane_line(vehicle_id: str, path: Curve) -> LaneLine:
         first, last = path.breaks_m[bent[0] - 1], path.breaks_m[bent[-1] + 1]
         bend = np.linspace(first, last, math.ceil((last - first) / _LINE_STEP_M) + 1)
         along = [0.0, *bend, path.length_m]
-    poses = path.poses(along)
-    centres = shift_along(*poses.T, CAR.rear_axle_to_centre_m)
+    centres = box_centres(path.poses(along), CAR)
     return LaneLine(f"lane_{vehicle_id}", read_only(np.round(centres, 6) + 0.0, columns=2), vehicle_id)

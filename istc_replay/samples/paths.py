@@ -44,7 +44,7 @@ class Curve:
 
     def curvature(self, s_m: ArrayLike) -> FloatArray:
         """Curvature at arc lengths of any shape [1/m]."""
-        return np.asarray(np.interp(s_m, self.breaks_m, self.curvatures_1pm))
+        return np.asarray(np.interp(np.asarray(s_m), self.breaks_m, self.curvatures_1pm))
 
     def heading(self, s_m: ArrayLike) -> FloatArray:
         """Unwrapped heading at arc lengths of any shape [rad]."""
@@ -54,9 +54,8 @@ class Curve:
         left = np.clip(np.searchsorted(breaks, s, side="right") - 1, 0, len(breaks) - 1)
         # The mean of the curvatures at both ends of the remaining piece is exact: it is linear there.
         rest = s - breaks[left]
-        return np.asarray(
-            self.start.heading_rad + turned[left] + rest * (kappa[left] + self.curvature(s)) / 2
-        )
+        last_turn = rest * (kappa[left] + self.curvature(s)) / 2
+        return np.asarray(self.start.heading_rad + turned[left] + last_turn)
 
     def points(self, s_m: ArrayLike) -> FloatArray:
         """Points at arc lengths (S,), as (S, 2) [m]."""
