@@ -6,6 +6,7 @@ has them; docs/method.md says why for the others.
 
 from __future__ import annotations
 
+import json
 import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -65,7 +66,7 @@ class WindowConfig(_Section):
 
 
 class VehicleConfig(_Section):
-    """One vehicle; what is unset comes from the log, else from the defaults."""
+    """One vehicle."""
 
     length_m: Positive | None = None
     """Box length."""
@@ -91,7 +92,7 @@ class VehiclesConfig(_Section):
     priority: Positive = 1.0
     """Default priority weight eta."""
     by_id: dict[str, VehicleConfig] = {}
-    """Values for single vehicles; they override the log."""
+    """Values for single vehicles: a priority overrides the log's, dimensions fill what it lacks."""
 
 
 class GuidanceConfig(_Section):
@@ -245,7 +246,6 @@ def parse_config(text: str, name: str = "config") -> Config:
     except tomllib.TOMLDecodeError as error:
         raise ConfigError(f"{name}: not TOML: {error}") from None
     try:
-        # TOML has no null and writes 10 where a float is meant: json mode accepts both ints and floats.
         return Config.model_validate(values)
     except ValidationError as error:
         raise ConfigError(f"{name}: " + "; ".join(_fault(fault) for fault in error.errors())) from None
@@ -266,6 +266,64 @@ def load_config(path: Path | None) -> Config:
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigError(f"{path}: cannot be read: {error}") from None
     return parse_config(text, str(path))
+
+
+def render_config(config: Config, *, explain: bool = False) -> str:
+    """Write a configuration as TOML; `parse_config` reads it back to an equal one.
+
+    Parameters
+    ----------
+    config : Config
+        What to write; unset keys are left out (with `explain`, shown as comments).
+    explain : bool
+        Put each key's meaning above it.
+    """
+    lines: list[str] = []
+    _render(config, "", lines, explain)
+    return "\n".join(lines).strip() + "\n"
+
+
+def _render(section: BaseModel, path: str, lines: list[str], explain: bool) -> None:
+    fields = type(section).model_fields
+    nested: list[tuple[str, Any, str | None]] = []
+    for name, field in fields.items():
+        value = getattr(section, name)
+        if isinstance(value, (BaseModel, dict)):
+            nested.append((name, value, field.description))
+            continue
+        if explain and field.description:
+            lines.append(f"# {field.description}")
+        if value is not None:
+            lines.append(f"{name} = {_toml(value)}")
+        elif explain:
+            lines.append(f"# {name} =")
+    for name, value, description in nested:
+        key = f"{path}.{_key(name)}" if path else _key(name)
+        if isinstance(value, BaseModel):
+            lines.append("")
+            if explain and description:
+                lines.append(f"# {description}")
+            lines.append(f"[{key}]")
+            _render(value, key, lines, explain)
+            continue
+        if explain and not value:
+            lines += ["", f"# {description}", f'# [{key}."..."]']
+        for entry, item in value.items():
+            lines += ["", f"[{key}.{_key(entry)}]"]
+            _render(item, f"{key}.{_key(entry)}", lines, explain)
+
+
+def _key(name: str) -> str:
+    return name if name.replace("_", "").isalnum() and name.isascii() else _toml(name)
+
+
+def _toml(value: object) -> str:
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        # JSON's escapes are TOML's, save for DEL, which JSON leaves as it is.
+        return json.dumps(value).replace("\x7f", "\\u007f")
+    return repr(value)
 
 
 def _fault(fault: Any) -> str:

@@ -48,6 +48,11 @@ def executable() -> str:
     return path
 
 
+def build_name() -> str:
+    """Name of the build in use, such as cbc_dist_avx2."""
+    return next((part for part in Path(executable()).parts if part.startswith("cbc_dist")), "cbc")
+
+
 def solve(
     model: Any, *, gap: float, node_budget: int, emergency_stop_s: float, warm_start: bool = False
 ) -> CbcRun:

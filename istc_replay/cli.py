@@ -1,0 +1,360 @@
+"""The command line: the only place that prints.
+
+Results go to stdout, everything else to stderr. Heavy modules are imported by the command that
+needs them, so that help is instant.
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import traceback
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from istc_replay import __version__
+from istc_replay.errors import IstcReplayError
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from istc_replay.datatypes import Log
+
+_INTERNAL_ERROR = 4
+_INTERRUPTED = 130
+_FILE = click.Path(path_type=Path)
+
+
+def main(arguments: list[str] | None = None) -> None:
+    """Run the command line and exit with its code: an error is one line on stderr."""
+    given = sys.argv[1:] if arguments is None else arguments
+    debug = "--debug" in given
+    try:
+        code = cli.main(
+            args=[a for a in given if a != "--debug"], standalone_mode=False, prog_name="istc-replay"
+        )
+        sys.exit(code if isinstance(code, int) else 0)
+    except click.exceptions.Abort:
+        _fail("interrupted; what was finished is kept", _INTERRUPTED)
+    except KeyboardInterrupt:
+        _fail("interrupted; what was finished is kept", _INTERRUPTED)
+    except click.ClickException as error:
+        _fail(error.format_message(), 2)
+    except IstcReplayError as error:
+        if debug:
+            traceback.print_exc()
+        _fail(str(error), error.exit_code)
+    except BrokenPipeError:
+        # The reader of stdout has gone, as with `| head`: nothing is left to tell it.
+        sys.stderr.close()
+        sys.exit(0)
+    except MemoryError:
+        _fail("out of memory; cut the log into shorter spans", _INTERNAL_ERROR)
+    except Exception as error:
+        if debug:
+            traceback.print_exc()
+        _fail(f"internal error: {type(error).__name__}: {error}; --debug shows where", _INTERNAL_ERROR)
+
+
+def _fail(message: str, code: int) -> None:
+    click.echo(f"istc-replay: {_line(message)}", err=True)
+    sys.exit(code)
+
+
+def _line(text: object) -> str:
+    """One printable line: control characters and line breaks shown, not obeyed."""
+    shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in str(text))
+    return shown if len(shown) <= 2000 else shown[:2000] + " ..."
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
+@click.version_option(__version__, prog_name="istc-replay")
+def cli() -> None:
+    """Replay recorded multi-vehicle MCAP logs: what happened, how close it was, and what a coordinated
+    plan would have done.
+
+    Every command takes --debug to show the traceback of an error.
+    """
+
+
+@cli.command()
+@click.argument("logs", nargs=-1, required=True, type=_FILE)
+@click.option("-c", "--config", "config_path", type=_FILE, help="Configuration (TOML).")
+@click.option(
+    "-o", "--output", type=_FILE, default=Path("results"), show_default=True, help="Folder of the results."
+)
+@click.option("--view", is_flag=True, help="Open the view when done.")
+def run(logs: tuple[Path, ...], config_path: Path | None, output: Path, view: bool) -> int:
+    """Replay LOGS: per log result.mcap, view.rrd, report.html and summary.json.
+
+    \b
+    Example:  istc-replay run sample_logs/intersection_turn_first.mcap -o results
+    """
+    from istc_replay.config import load_config
+    from istc_replay.replay import result_folders, run_log
+
+    config = load_config(config_path)
+    folders = result_folders(logs, output)
+    worst = 0
+    for path, folder in folders.items():
+        with _Progress(path.name) as progress:
+            try:
+                done = run_log(path, folder, config, progress)
+            except IstcReplayError as error:
+                # Of many logs, one that fails does not stop the others.
+                if len(folders) == 1:
+                    raise
+                click.echo(f"istc-replay: {_line(error)}", err=True)
+                worst = max(worst, error.exit_code)
+                continue
+        _print_run(done.summary, folder)
+        worst = max(worst, done.exit_code)
+    if view:
+        for folder in folders.values():
+            _show(folder)
+    return worst
+
+
+class _Progress:
+    """One line on a terminal's stderr that tells what is being done; silent elsewhere."""
+
+    def __init__(self, name: str) -> None:
+        self._name = _line(name)
+        self._shown = sys.stderr.isatty()
+
+    def __enter__(self) -> _Progress:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._shown:
+            click.echo("\r\x1b[K", nl=False, err=True)
+
+    def __call__(self, what: str, done: int, total: int) -> None:
+        if self._shown:
+            share = f" window {min(done + 1, total)} of {total}:" if total > 1 else ""
+            click.echo(f"\r\x1b[K{self._name}:{share} {what}", nl=False, err=True)
+
+
+def _print_run(summary: Mapping[str, Any], folder: Path) -> None:
+    totals, source = summary["totals"], summary["input"]
+    name = _line(source["path"])
+    click.echo(
+        f"{name}: {totals['vehicles_certified']} of {totals['vehicles_plannable']} plannable "
+        f"vehicles certified ({totals['vehicles_present']} present), "
+        f"{totals['windows_full']} of {totals['windows']} windows in full"
+    )
+    for problem in source["problems"]:
+        click.echo(f"  log: {_line(problem['code'])}: {_line(problem['detail'])}")
+    for window in summary["windows"]:
+        _print_window(window)
+    total_s = sum(summary["stages"].values())
+    click.echo(f"  {total_s:.1f} s; results in {_line(folder)}")
+
+
+def _print_window(window: Mapping[str, Any]) -> None:
+    corridors = window["corridors"]
+    reason = f": {_line(window['reason'])}" if window["reason"] else ""
+    click.echo(f"  window {window['index']}: {window['status']}{reason}")
+    if corridors["objective"] is not None:
+        bound = "none" if corridors["bound"] is None else f"{corridors['bound']:.4f}"
+        gap = "not known" if corridors["gap"] is None else f"{corridors['gap']:.1e}"
+        click.echo(
+            f"    corridors {corridors['status']}: objective {corridors['objective']:.4f}, bound {bound}, "
+            f"gap {gap}, found by {corridors['found_by']}"
+        )
+    for exclusion in window["exclusions"]:
+        click.echo(f"    left out: {_line(exclusion['vehicle_id'])}: {_line(exclusion['detail'])}")
+    recorded = window["recorded"]
+    if recorded is not None:
+        pair = " and ".join(_line(vehicle) for vehicle in recorded["pair"])
+        least = recorded["min_separation_m"]
+        what = f"overlap by {-least:.2f} m" if least < 0 else f"come within {least:.2f} m"
+        click.echo(f"    recorded: {pair} {what} at {recorded['time_s']:.1f} s")
+    for check in window["certificate"]["checks"]:
+        margin = "" if check["margin"] is None else f" {check['margin']:.4g} {check['unit']}"
+        click.echo(f"    {check['check']:<22}{check['verdict']:<15}{margin}")
+
+
+@cli.command()
+@click.argument("log", type=_FILE)
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@click.option("-c", "--config", "config_path", type=_FILE, help="Configuration (TOML).")
+def info(log: Path, as_json: bool, config_path: Path | None) -> int:
+    """Tell what LOG holds: channels and how they are read, vehicles, spans, rates, problems.
+
+    \b
+    Example:  istc-replay info sample_logs/intersection_osi.mcap
+    """
+    from istc_replay.config import load_config
+    from istc_replay.ingest.log import read_log
+
+    read = read_log(log, load_config(config_path))
+    facts = _facts(read)
+    if as_json:
+        click.echo(json.dumps(facts, indent=1))
+    else:
+        _print_info(facts)
+    return 0 if read.complete else 3
+
+
+def _facts(log: Log) -> dict[str, Any]:
+    import polars as pl
+
+    vehicles = (
+        log.states.group_by("vehicle_id")
+        .agg(
+            pl.len().alias("states"),
+            pl.col("time_ns").min().alias("first_ns"),
+            pl.col("time_ns").max().alias("last_ns"),
+            pl.col("length_m").drop_nulls().first(),
+            pl.col("width_m").drop_nulls().first(),
+        )
+        .sort("vehicle_id")
+        .rename({"vehicle_id": "id"})
+    )
+    return {
+        "path": log.path,
+        "complete": log.complete,
+        "messages": log.messages,
+        "attachments": log.attachments,
+        "metadata": log.metadata,
+        "chunks": log.chunks,
+        "start_ns": log.start_ns,
+        "end_ns": log.end_ns,
+        "channels": [
+            {
+                "topic": c.topic,
+                "schema": c.schema,
+                "schema_encoding": c.schema_encoding,
+                "message_encoding": c.message_encoding,
+                "messages": c.messages,
+                "understood_as": c.understood_as,
+            }
+            for c in log.channels
+        ],
+        "vehicles": vehicles.to_dicts(),
+        "problems": [{"code": p.code, "detail": p.detail, "offset": p.offset} for p in log.problems],
+    }
+
+
+def _print_info(facts: Mapping[str, Any]) -> None:
+    whole = "complete" if facts["complete"] else "INCOMPLETE"
+    click.echo(f"{_line(facts['path'])}: {whole}, {facts['messages']} messages in {facts['chunks']} chunks")
+    if facts["start_ns"] is not None:
+        click.echo(f"span: {(facts['end_ns'] - facts['start_ns']) / 1e9:.3f} s from {facts['start_ns']} ns")
+    rows = [["topic", "schema", "encoding", "messages", "read as"]]
+    for c in facts["channels"]:
+        kind = c["understood_as"] or "not read"
+        rows.append([c["topic"], c["schema"], c["message_encoding"], str(c["messages"]), kind])
+    _print_table(rows)
+    rows = [["vehicle", "states", "from s", "to s", "rate Hz", "length m", "width m"]]
+    for v in facts["vehicles"]:
+        first, last = ((v[key] - facts["vehicles"][0]["first_ns"]) / 1e9 for key in ("first_ns", "last_ns"))
+        rate = f"{(v['states'] - 1) / (last - first):.1f}" if last > first else "-"
+        size = ["-" if v[key] is None else f"{v[key]:.2f}" for key in ("length_m", "width_m")]
+        rows.append([v["id"], str(v["states"]), f"{first:.3f}", f"{last:.3f}", rate, *size])
+    _print_table(rows)
+    for problem in facts["problems"]:
+        where = "" if problem["offset"] is None else f" at byte {problem['offset']}"
+        click.echo(f"problem: {_line(problem['code'])}{where}: {_line(problem['detail'])}")
+
+
+def _print_table(rows: list[list[str]]) -> None:
+    if len(rows) == 1:
+        return
+    shown = [[_line(cell)[:60] for cell in row] for row in rows]
+    widths = [max(len(row[column]) for row in shown) for column in range(len(shown[0]))]
+    for row in shown:
+        click.echo(
+            "  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        )
+
+
+@cli.command()
+@click.argument("source", type=_FILE)
+@click.option("-o", "--output", type=_FILE, required=True, help="Folder of the tables.")
+@click.option(
+    "--format", "formats", default="parquet", show_default=True, help="parquet, csv, or both with a comma."
+)
+@click.option("-c", "--config", "config_path", type=_FILE, help="Configuration (TOML), for a log.")
+def export(source: Path, output: Path, formats: str, config_path: Path | None) -> int:
+    """Write the tables of SOURCE, a log or a result (its folder or result.mcap).
+
+    \b
+    Example:  istc-replay export results/intersection_turn_first -o tables --format parquet,csv
+    """
+    from istc_replay.config import load_config
+    from istc_replay.export.tables import export_tables
+
+    chosen = [part.strip() for part in formats.split(",")]
+    unknown = [part for part in chosen if part not in ("parquet", "csv")]
+    if unknown:
+        raise click.UsageError(f"--format {formats}: {unknown[0]!r} is not one of parquet, csv")
+    complete, files = export_tables(source, output, chosen, load_config(config_path))
+    for file in files:
+        click.echo(_line(file))
+    return 0 if complete else 3
+
+
+@cli.command()
+@click.argument("scene")
+@click.argument("out", type=_FILE)
+def sample(scene: str, out: Path) -> None:
+    """Write SCENE, a sample's name or a scene file (JSON), as a recorded log of uncoordinated driving.
+
+    \b
+    Example:  istc-replay sample dense_4 dense_4.mcap
+    Names:    intersection_turn_first, intersection_straight_first, intersection_osi,
+              intersection_odometry, dense_4; the form of a scene file is schemas/scene.schema.json
+    """
+    from istc_replay.export.atomic import atomic_file
+    from istc_replay.export.sample_log import sample_log
+
+    data = sample_log(scene)
+    with atomic_file(out) as file:
+        file.write_bytes(data)
+    click.echo(_line(out))
+
+
+@cli.command()
+@click.argument("file", required=False, type=_FILE)
+@click.option("--defaults", is_flag=True, help="Print the defaults, each explained (as without FILE).")
+@click.option("--schema", is_flag=True, help="Print the JSON Schema.")
+def config(file: Path | None, defaults: bool, schema: bool) -> None:
+    """Check a configuration FILE, and print the configuration in force, explained.
+
+    \b
+    Example:  istc-replay config > my.toml
+    """
+    from istc_replay.config import Config, load_config, render_config
+
+    if schema:
+        click.echo(json.dumps(Config.model_json_schema(), indent=1))
+        return
+    click.echo(render_config(load_config(None if defaults else file), explain=True), nl=False)
+
+
+@cli.command()
+@click.argument("result", type=_FILE)
+@click.option("--save", type=_FILE, help="Write the view to this .rrd instead of opening it.")
+def view(result: Path, save: Path | None) -> None:
+    """Open RESULT (a result's folder or result.mcap) in Rerun.
+
+    \b
+    Example:  istc-replay view results/intersection_turn_first
+    """
+    if save is None:
+        _show(result)
+        return
+    from istc_replay.export.rerun_view import save_view
+
+    save_view(result, save)
+    click.echo(_line(save))
+
+
+def _show(result: Path) -> None:
+    from istc_replay.export.rerun_view import show_view
+
+    show_view(result)

@@ -1,0 +1,197 @@
+"""summary.json: the figures of every window, as one dict of plain values."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from istc_replay.audit.certificate import overall
+from istc_replay.datatypes import Verdict, WindowStatus
+from istc_replay.ingest.result import SUMMARY_SCHEMA
+from istc_replay.units import NS_PER_S
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from istc_replay.audit.recorded import RecordedGap
+    from istc_replay.datatypes import Certificate, Log, Participant, Scenario, Trajectory, WindowPlan
+
+
+def summarise(
+    log: Log,
+    plans: Sequence[WindowPlan],
+    certificates: Sequence[Certificate],
+    recorded: Mapping[int, RecordedGap | None],
+    versions: Mapping[str, str],
+    config_sha256: str,
+) -> dict[str, Any]:
+    """Sum up a replay; wall-clock figures of the whole run are added by the caller.
+
+    Parameters
+    ----------
+    log : Log
+        The input.
+    plans : sequence of WindowPlan
+        One a window.
+    certificates : sequence of Certificate
+        Of all windows.
+    recorded : mapping
+        Least gap as recorded, by window.
+    versions : mapping
+        Version by component.
+    config_sha256 : str
+        Hash of the configuration in force.
+    """
+    windows = [
+        _window(plan, [c for c in certificates if c.window == plan.scenario.window.index], recorded)
+        for plan in plans
+    ]
+    return {
+        "schema": SUMMARY_SCHEMA,
+        "input": {
+            "path": log.path,
+            "sha256": log.sha256,
+            "complete": log.complete,
+            "problems": [{"code": p.code, "detail": p.detail, "offset": p.offset} for p in log.problems],
+        },
+        "versions": dict(versions),
+        "config_sha256": config_sha256,
+        "windows": windows,
+        "totals": _totals(log, windows),
+    }
+
+
+def _totals(log: Log, windows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    def total(name: str) -> int:
+        return sum(int(window[name]) for window in windows)
+
+    span = 0 if log.start_ns is None or log.end_ns is None else log.end_ns - log.start_ns
+    return {
+        "windows": len(windows),
+        "windows_full": sum(
+            w["vehicles_plannable"] > 0 and w["vehicles_certified"] == w["vehicles_plannable"]
+            for w in windows
+        ),
+        "vehicles_present": total("vehicles_present"),
+        "vehicles_plannable": total("vehicles_plannable"),
+        "vehicles_certified": total("vehicles_certified"),
+        "log_s": span / NS_PER_S,
+    }
+
+
+def _window(
+    plan: WindowPlan, certificates: Sequence[Certificate], recorded: Mapping[int, RecordedGap | None]
+) -> dict[str, Any]:
+    scenario, window, corridors = plan.scenario, plan.scenario.window, plan.corridors
+    certified = plan.status is WindowStatus.CERTIFIED
+    reasons = [e.reason for e in scenario.excluded]
+    return {
+        "index": window.index,
+        "start_ns": window.start_ns,
+        "end_ns": window.end_ns,
+        "unit_s": window.unit_s,
+        "units": window.units,
+        "frame": {"x_m": window.frame.x_m, "y_m": window.frame.y_m, "yaw_rad": window.frame.yaw_rad},
+        "status": str(plan.status),
+        "reason": plan.reason,
+        "vehicles_present": scenario.vehicles_present,
+        "vehicles_plannable": len(scenario.participants),
+        "vehicles_certified": len(plan.trajectories) if certified else 0,
+        "excluded": {reason: reasons.count(reason) for reason in sorted(set(reasons))},
+        "exclusions": [
+            {"vehicle_id": e.vehicle_id, "reason": e.reason, "detail": e.detail} for e in scenario.excluded
+        ],
+        "rounds": plan.rounds,
+        "undrivable": [
+            {"vehicle_id": u.vehicle_id, "unit": u.unit, "slack_m": u.slack_m, "detail": u.detail}
+            for u in plan.undrivable
+        ],
+        "corridors": {
+            "status": None if corridors is None else str(corridors.status),
+            "objective": None if corridors is None else corridors.objective,
+            "bound": None if corridors is None else corridors.bound,
+            "gap": None if corridors is None else corridors.gap,
+            "found_by": "" if corridors is None else corridors.found_by,
+            "reason": "" if corridors is None else corridors.reason,
+            "seconds": plan.seconds.get("corridors", 0.0),
+        },
+        "trajectories": {"seconds": plan.seconds.get("trajectories", 0.0)},
+        "certificate": _certificate(certificates),
+        "recorded": _recorded(recorded.get(window.index), window.start_ns),
+        "vehicles": _vehicles(scenario, plan),
+    }
+
+
+def _certificate(certificates: Sequence[Certificate]) -> dict[str, Any]:
+    return {
+        "verdict": str(overall(certificates) if certificates else Verdict.NOT_APPLICABLE),
+        "checks": [
+            {
+                "check": c.check,
+                "verdict": str(c.verdict),
+                "margin": c.margin,
+                "unit": c.unit,
+                "time_s": c.time_s,
+                "vehicles": list(c.vehicles),
+                "detail": c.detail,
+            }
+            for c in certificates
+        ],
+    }
+
+
+def _recorded(gap: RecordedGap | None, start_ns: int) -> dict[str, Any] | None:
+    if gap is None:
+        return None
+    return {
+        "min_separation_m": gap.min_separation_m,
+        "pair": list(gap.pair),
+        "time_s": (gap.time_ns - start_ns) / NS_PER_S,
+    }
+
+
+def _vehicles(scenario: Scenario, plan: WindowPlan) -> list[dict[str, Any]]:
+    corridors = {c.vehicle_id: c for c in (plan.corridors.corridors if plan.corridors else ())}
+    guidance = {g.vehicle_id: g for g in plan.guidance}
+    trajectories = {t.vehicle_id: t for t in plan.trajectories}
+    rows = []
+    for participant in scenario.participants:
+        row = _vehicle(participant)
+        guide = guidance.get(participant.vehicle_id)
+        row["guidance"] = None if guide is None else guide.kind
+        corridor = corridors.get(participant.vehicle_id)
+        if corridor is not None:
+            width, height = np.diff(corridor.cubes_m)[:, [0, 2]].T
+            row["corridor_area_m2"] = float(width @ height)
+            row["corridor_breadth_m"] = float((width + height).sum())
+            deviation = np.hypot(*(corridor.pivots_m - corridor.references_m).T)
+            row["pivot_deviation_m"] = float(deviation[1:].mean())
+        trajectory = trajectories.get(participant.vehicle_id)
+        if trajectory is not None:
+            row |= _motion(trajectory)
+        rows.append(row)
+    return rows
+
+
+def _vehicle(participant: Participant) -> dict[str, Any]:
+    return {
+        "id": participant.vehicle_id,
+        "priority": participant.priority,
+        "dimensions_source": participant.dimensions_source,
+        "first_unit": participant.first_unit,
+        "units": participant.units,
+        "corridor_area_m2": None,
+        "corridor_breadth_m": None,
+        "pivot_deviation_m": None,
+        "speed_std_mps": None,
+        "length_m": None,
+    }
+
+
+def _motion(trajectory: Trajectory) -> dict[str, Any]:
+    steps = np.diff(trajectory.states[:, :2], axis=0)
+    return {
+        "speed_std_mps": float(trajectory.states[:, 4].std()),
+        "length_m": float(np.hypot(steps[:, 0], steps[:, 1]).sum()),
+    }
