@@ -10,7 +10,6 @@ from typing import Any
 from mcap.writer import CompressionType, Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
-from istc_replay import messages
 from istc_replay.config import Config, parse_config
 from istc_replay.datatypes import Certificate, Log, WindowPlan
 from istc_replay.errors import ExportError
@@ -143,8 +142,6 @@ def _write_messages(writer: Writer, encoded: Sequence[tuple[int, str, Any, bytes
 
 
 def _schema(kind: Any) -> bytes:
-    if kind.DESCRIPTOR.full_name.startswith(messages.PACKAGE):
-        return messages.descriptor_set()
     return bytes(build_file_descriptor_set(kind).SerializeToString(deterministic=True))
 
 

@@ -12,6 +12,7 @@ from pathlib import Path, PurePath
 from typing import Any
 
 import polars as pl
+
 from istc_replay.datatypes import Result
 from istc_replay.errors import LogError
 from istc_replay.ingest.problems import quoted
