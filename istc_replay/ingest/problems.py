@@ -35,7 +35,7 @@ class Problems:
             self._kinds[code] = self._kinds.get(code, 0) + 1
         told = self._told.setdefault(key, [])
         self._counts[key] = self._counts.get(key, 0) + 1
-        if len(told) < _TOLD:
+        if len(told) < _TOLD and not (told and told[-1].detail == detail):
             told.append(Problem(code, detail, offset))
 
     def lose(self, code: str, detail: str, offset: int | None = None) -> None:

@@ -7,8 +7,8 @@ it lends channels whose declarations are lost, and places where the walk can go 
 
 from __future__ import annotations
 
+import hashlib
 import mmap
-import zlib
 from bisect import bisect_right
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
@@ -16,7 +16,7 @@ from pathlib import Path
 from istc_replay.datatypes import Problem
 from istc_replay.errors import LogError
 from istc_replay.ingest.definitions import Definitions
-from istc_replay.ingest.inflate import CHUNK_LIMIT, InflateError, inflate
+from istc_replay.ingest.inflate import CHUNK_LIMIT, InflateError, Inflater
 from istc_replay.ingest.problems import Problems, quoted
 from istc_replay.ingest.records import (
     FOOTER,
@@ -27,7 +27,6 @@ from istc_replay.ingest.records import (
     Attachment,
     Buffer,
     Channel,
-    ChunkHead,
     Fields,
     MalformedRecordError,
     Message,
@@ -42,11 +41,10 @@ from istc_replay.ingest.records import (
 )
 from istc_replay.ingest.summary import Summary, read_summary
 
-#: Metadata held at once [bytes and records]; bytes that all chunks may inflate to.
+#: Metadata and attachments held at once [bytes, records].
 _HELD_BYTES = 128 * 2**20
-_INFLATION_FLOOR = 256 * 2**20
-_INFLATION_RATIO = 100
 _HELD_RECORDS = 10_000
+_INT64_MAX = 2**63 - 1
 _SKIPPED = frozenset(Opcode) - {Opcode.FOOTER}
 
 Wanted = Callable[[Channel], bool]
@@ -88,10 +86,14 @@ class LogFile:
     ----------
     name : str
         The path, or `<bytes>`.
+    size : int
+        Bytes of the file.
     counts : dict[Channel, int]
         Every channel met, and the number of its messages, wanted or not.
     message_count, chunk_count, attachment_count, metadata_count : int
         Whole records met.
+    start_ns, end_ns : int or None
+        The span of the messages' log times that fit int64.
     attachments, metadata : list
         The first 10 000 of each; `attachment_data` reads an attachment.
     """
@@ -99,24 +101,27 @@ class LogFile:
     def __init__(self, buffer: Buffer, name: str) -> None:
         self.name = name
         self._buffer = buffer
-        self._size = len(buffer)
-        self._ends_well = self._size > len(MAGIC) and buffer[self._size - len(MAGIC) : self._size] == MAGIC
+        self.size = len(buffer)
+        self._ends_well = self.size > len(MAGIC) and buffer[self.size - len(MAGIC) : self.size] == MAGIC
         head = buffer[: len(MAGIC)]
         if head != MAGIC and not self._ends_well:
-            what = f"it begins with {head!r}, not {MAGIC!r}" if self._size else "it is empty"
+            what = f"it begins with {head!r}, not {MAGIC!r}" if self.size else "it is empty"
             raise LogError(f"{name}: not an MCAP log: {what}; give an MCAP file")
         self._reset()
 
     def _reset(self, wants: Wanted | None = None) -> None:
         self._wants = wants
         self.counts: dict[Channel, int] = {}
+        self.start_ns: int | None = None
+        self.end_ns: int | None = None
         self.message_count = self.chunk_count = self.attachment_count = self.metadata_count = 0
         self.attachments: list[Attachment] = []
         self.metadata: list[Metadata] = []
         self._problems = Problems()
         self._summary = Summary()
         self._statistics: dict[int, Statistics] = {}
-        self._inflated = self._held = 0
+        self._held = 0
+        self._inflater = Inflater(self.size, self._problems)
         self._wanted: dict[Channel, bool] = {}
         self._definitions = Definitions(self._problems, self._summary)
         self._begin, self._data_over = 0, False
@@ -130,6 +135,10 @@ class LogFile:
     def problems(self) -> tuple[Problem, ...]:
         """What the walk found damaged or left out."""
         return self._problems.found()
+
+    def sha256(self) -> str:
+        """Hash the file; hexadecimal."""
+        return hashlib.sha256(self._buffer).hexdigest()
 
     def attachment_data(self, attachment: Attachment) -> bytes:
         """Read the data of one of the attachments."""
@@ -169,7 +178,7 @@ class LogFile:
             self._definitions = Definitions(self._problems, self._summary)
         except MalformedRecordError as error:
             self._problems.add(
-                "summary_damaged", f"{error}; the summary is not used", self._size - len(MAGIC) - FOOTER.size
+                "summary_damaged", f"{error}; the summary is not used", self.size - len(MAGIC) - FOOTER.size
             )
 
     def _compare_counts(self) -> None:
@@ -211,14 +220,14 @@ class LogFile:
 
     def _head(self, position: int) -> tuple[int, int, int] | None:
         """Opcode, start and end of the content of the record at position; None where there is none."""
-        left = self._size - position
+        left = self.size - position
         if left < RECORD.size:
             self._cut("the file ends without a footer", position)
             return None
         opcode, length = RECORD.unpack_from(self._buffer, position)
         start = position + RECORD.size
-        if length > self._size - start:
-            self._cut(f"a record of {length} bytes where the file has {self._size - start} left", position)
+        if length > self.size - start:
+            self._cut(f"a record of {length} bytes where the file has {self.size - start} left", position)
             return None
         anchor = self._next_anchor(position)
         if opcode == 0 or (anchor is not None and start + length > anchor):
@@ -236,7 +245,7 @@ class LogFile:
         return self._summary.anchors[index] if index < len(self._summary.anchors) else None
 
     def _ends_at(self, end: int) -> bool:
-        left = self._size - end
+        left = self.size - end
         return left <= len(MAGIC) or self._buffer[end : end + len(MAGIC)] == MAGIC
 
     def _after(self, end: int) -> int | None:
@@ -244,11 +253,11 @@ class LogFile:
         if not self._data_over:
             self._problems.add("no_data_end", "the data section is not closed by a data end record", end)
         rest = end + len(MAGIC)
-        if self._size < rest:
+        if self.size < rest:
             self._problems.lose("truncated", "the file ends inside the magic bytes after its footer", end)
         elif self._buffer[end:rest] != MAGIC:
             self._problems.add("no_magic", "the file does not end with MCAP's magic bytes", end)
-        if self._size <= rest:
+        if self.size <= rest:
             return None
         if self._buffer[rest : rest + len(MAGIC)] == MAGIC:
             self._problems.add(
@@ -256,14 +265,15 @@ class LogFile:
             )
             return rest
         self._problems.add(
-            "trailing_bytes", f"{self._size - rest} bytes after the end of the file are not read", rest
+            "trailing_bytes", f"{self.size - rest} bytes after the end of the file are not read", rest
         )
         return None
 
     def _chunk(self, start: int, end: int, offset: int) -> Iterator[Message]:
         self.chunk_count += 1
         try:
-            data = self._inflate(parse_chunk(Fields(self._buffer, start, end)), offset)
+            chunk = parse_chunk(Fields(self._buffer, start, end))
+            data = self._inflater.records(self._buffer, chunk, offset)
         except InflateError as error:
             self._problems.lose(error.code, f"{error}; the chunk is left out", offset)
             return
@@ -298,34 +308,15 @@ class LogFile:
                     "unexpected_record", f"record kind {opcode} inside a chunk is not read", offset
                 )
 
-    def _inflate(self, chunk: ChunkHead, offset: int) -> bytes:
-        size, longest = chunk.uncompressed_size, max(chunk.uncompressed_size, chunk.size)
-        if longest > CHUNK_LIMIT:
-            raise InflateError(
-                "chunk_too_long", f"a chunk of {longest} bytes, above the limit of {CHUNK_LIMIT}"
-            )
-        if self._inflated + size > _INFLATION_FLOOR + _INFLATION_RATIO * self._size:
-            raise InflateError(
-                "inflation_limit", f"the chunks before hold {self._inflated} bytes, the most allowed"
-            )
-        data = inflate(chunk.compression, self._buffer[chunk.start : chunk.start + chunk.size], size)
-        self._inflated += len(data)
-        sound = zlib.crc32(data) == chunk.crc
-        if len(data) != size:
-            detail = f"a chunk of {size} bytes holds {'more' if len(data) > size else len(data)}"
-            if not (chunk.crc and sound):
-                raise InflateError("chunk_damaged", detail)
-            self._problems.add("chunk_size", detail, offset)
-        if chunk.crc and not sound:
-            raise InflateError("chunk_crc", f"a chunk of {size} bytes does not match its checksum")
-        return data
-
     def _message(self, buffer: Buffer, start: int, end: int, offset: int) -> Message | None:
         if not MESSAGE.size <= end - start <= MESSAGE.size + CHUNK_LIMIT:
             self._problems.lose("record_damaged", f"a message record of {end - start} bytes", offset)
             return None
         channel_id, sequence, log_time_ns, publish_time_ns = MESSAGE.unpack_from(buffer, start)
         self.message_count += 1
+        if log_time_ns <= _INT64_MAX:
+            self.start_ns = log_time_ns if self.start_ns is None else min(self.start_ns, log_time_ns)
+            self.end_ns = log_time_ns if self.end_ns is None else max(self.end_ns, log_time_ns)
         channel = self._definitions.channels.get(channel_id)
         if channel is None:
             self._problems.lose(

@@ -1,0 +1,136 @@
+"""Decoding the project's own messages, `istc.v1.VehicleState` and `istc.v1.Scene`."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+from google.protobuf.message import DecodeError
+
+from istc_replay.config import VehiclesConfig
+from istc_replay.datatypes import Dimensions, LaneLine, MapBounds, SceneObstacle, VehicleInfo, read_only
+from istc_replay.ingest.columns import PayloadError, State
+from istc_replay.ingest.problems import Problems, quoted
+from istc_replay.ingest.scene import SceneParts
+from istc_replay.messages import message
+
+
+class VehicleStateReader:
+    """Reads `istc.v1.VehicleState`; `vehicle_id` overrides the messages' own."""
+
+    def __init__(self, vehicle_id: str | None, problems: Problems) -> None:
+        self._type = message("VehicleState")
+        self._vehicle_id = vehicle_id
+        self._problems = problems
+
+    def states(self, data: bytes) -> list[State]:
+        """Decode one payload: one state, or none where it is a planned one."""
+        state = _parse(self._type, data)
+        if state.HasField("window"):
+            # A result is a log as well: what was planned in it was not recorded.
+            self._problems.add("planned_states", "planned states of a result are not recorded ones: left out")
+            return []
+        return [
+            State(
+                self._vehicle_id or state.vehicle_id,
+                state.time_ns,
+                "vehicle",
+                state.x_m,
+                state.y_m,
+                *_optional(state, "heading_rad", "speed_mps", "acceleration_mps2", "steering_rad"),
+                *_optional(state, "steering_rate_radps", "jerk_mps3"),
+                *_lengths(state),
+            )
+        ]
+
+
+class SceneReader:
+    """Reads `istc.v1.Scene` into the parts of the scene."""
+
+    def __init__(self, parts: SceneParts, vehicles: VehiclesConfig, problems: Problems) -> None:
+        self._type = message("Scene")
+        self._parts = parts
+        self._vehicles = vehicles
+        self._problems = problems
+
+    def states(self, data: bytes) -> list[State]:
+        """Decode one payload; a scene holds no states."""
+        scene = _parse(self._type, data)
+        for line in scene.lane_lines:
+            self._lane_line(line)
+        for obstacle in scene.obstacles:
+            self._obstacle(obstacle)
+        for vehicle in scene.vehicles:
+            self._vehicle(vehicle)
+        if scene.HasField("bounds"):
+            self._bounds(scene.bounds)
+        return []
+
+    def _refuse(self, what: str, rule: str) -> None:
+        self._problems.add("scene", f"{what} of the scene is left out: {rule}")
+
+    def _lane_line(self, line: Any) -> None:
+        points = read_only([(point.x_m, point.y_m) for point in line.points], columns=2)
+        if len(points) < 2 or not np.isfinite(points).all():
+            self._refuse(f"lane line {quoted(line.lane_id)}", "it needs at least two finite points")
+            return
+        self._parts.lane_lines[line.lane_id] = LaneLine(line.lane_id, points, line.vehicle_id or None)
+
+    def _obstacle(self, box: Any) -> None:
+        numbers = (box.x_m, box.y_m, box.heading_rad, box.length_m, box.width_m)
+        if not _finite(numbers) or min(box.length_m, box.width_m) <= 0.0:
+            self._refuse(f"obstacle {quoted(box.obstacle_id)}", "it needs finite numbers and a size above 0")
+            return
+        self._parts.obstacles[box.obstacle_id] = SceneObstacle(box.obstacle_id, *numbers)
+
+    def _bounds(self, bounds: Any) -> None:
+        numbers = (bounds.x_min_m, bounds.x_max_m, bounds.y_min_m, bounds.y_max_m)
+        if not _finite(numbers) or numbers[0] >= numbers[1] or numbers[2] >= numbers[3]:
+            self._refuse("the map's bounds", "they need finite numbers, minimum below maximum")
+            return
+        self._parts.bounds = MapBounds(*numbers)
+
+    def _vehicle(self, vehicle: Any) -> None:
+        priority = vehicle.priority if vehicle.HasField("priority") else None
+        if priority is not None and not (math.isfinite(priority) and priority > 0.0):
+            self._refuse(f"priority of vehicle {quoted(vehicle.vehicle_id)}", "it must be above 0")
+            priority = None
+        dimensions = _dimensions(vehicle, self._vehicles)
+        if vehicle.HasField("dimensions") and dimensions is None:
+            self._refuse(f"size of vehicle {quoted(vehicle.vehicle_id)}", "it must be finite and above 0")
+        self._parts.vehicles[vehicle.vehicle_id] = VehicleInfo(vehicle.vehicle_id, priority, dimensions)
+
+
+def _parse(type_: Any, data: bytes) -> Any:
+    try:
+        return type_.FromString(data)
+    except DecodeError as error:
+        raise PayloadError(f"not an {type_.DESCRIPTOR.full_name}: {error}") from None
+
+
+def _optional(source: Any, *names: str) -> list[float | None]:
+    return [getattr(source, name) if source.HasField(name) else None for name in names]
+
+
+def _lengths(source: Any) -> tuple[float | None, ...]:
+    if not source.HasField("dimensions"):
+        return None, None, None, None
+    box = source.dimensions
+    # Length and width carry no presence: 0 is how protobuf leaves them unset.
+    return box.length_m or None, box.width_m or None, *_optional(box, "wheelbase_m", "rear_axle_to_centre_m")
+
+
+def _dimensions(source: Any, vehicles: VehiclesConfig) -> Dimensions | None:
+    length_m, width_m, wheelbase_m, rear_m = _lengths(source)
+    if length_m is None or width_m is None:
+        return None
+    wheelbase_m = vehicles.wheelbase_ratio * length_m if wheelbase_m is None else wheelbase_m
+    rear_m = wheelbase_m / 2.0 if rear_m is None else rear_m
+    sound = _finite((length_m, width_m, wheelbase_m, rear_m)) and min(length_m, width_m, wheelbase_m) > 0.0
+    return Dimensions(length_m, width_m, wheelbase_m, rear_m) if sound else None
+
+
+def _finite(numbers: Iterable[float]) -> bool:
+    return all(math.isfinite(number) for number in numbers)
