@@ -14,6 +14,8 @@ from mcap.writer import Writer
 from istc_replay import messages
 from istc_replay.datatypes import StaticScene
 from istc_replay.errors import UsageError
+from istc_replay.export.sample_odometry import write_odometry
+from istc_replay.export.sample_osi import write_osi
 from istc_replay.samples.drive import RecordedScene
 
 Row = dict[str, Any]
@@ -109,4 +111,8 @@ def _fields(record: Any) -> Row:
     return {name: getattr(record, name) for name in record.__slots__}
 
 
-_WRITERS: dict[str, Callable[[RecordedScene, io.BytesIO], None]] = {"istc": _write_istc}
+_WRITERS: dict[str, Callable[[RecordedScene, io.BytesIO], None]] = {
+    "istc": _write_istc,
+    "osi": lambda recorded, stream: write_osi(_instants(recorded), stream),
+    "odometry": lambda recorded, stream: write_odometry(_instants(recorded), stream),
+}

@@ -63,13 +63,17 @@ def _states(drive: Drive, start_ns: int, duration_s: int) -> pl.DataFrame:
     poses = drive.path.poses(along)  # (S, 3)
     size = drive.dimensions
     centres = box_centres(poses, size)
+    curvature, sharpness = drive.path.curvature(along), drive.path.sharpness(along)
+    # tan(steering) = wheelbase * curvature, and its derivative in time.
+    tangent = size.wheelbase_m * curvature
     values = {
         "x_m": centres[:, 0],
         "y_m": centres[:, 1],
         "heading_rad": poses[:, 2],
         "speed_mps": speed,
         "acceleration_mps2": acceleration,
-        "steering_rad": np.arctan(size.wheelbase_m * drive.path.curvature(along)),
+        "steering_rad": np.arctan(tangent),
+        "steering_rate_radps": size.wheelbase_m * sharpness * speed / (1.0 + tangent**2),
     }
     rounded = {column: _rounded(value) for column, value in values.items()}
     rounded["heading_rad"] = wrap_angle(rounded["heading_rad"])

@@ -46,6 +46,13 @@ class Curve:
         """Curvature at arc lengths of any shape [1/m]."""
         return np.asarray(np.interp(np.asarray(s_m), self.breaks_m, self.curvatures_1pm))
 
+    def sharpness(self, s_m: ArrayLike) -> FloatArray:
+        """Change of curvature per length at arc lengths of any shape [1/m^2]; at a break, the one ahead."""
+        slopes = np.diff(self.curvatures_1pm) / np.diff(self.breaks_m)
+        piece = np.searchsorted(self.breaks_m, s_m, side="right") - 1
+        on_curve = (piece >= 0) & (piece < len(slopes))
+        return np.where(on_curve, slopes[np.clip(piece, 0, len(slopes) - 1)], 0.0)
+
     def heading(self, s_m: ArrayLike) -> FloatArray:
         """Unwrapped heading at arc lengths of any shape [rad]."""
         s = np.asarray(s_m, dtype=np.float64)
