@@ -126,6 +126,8 @@ def _require_whole(log: LogFile, rows: ResultRows) -> None:
             f"{log.name}: not a result: it lacks {', '.join(missing)}; "
             "give a result.mcap, or run istc-replay on this log"
         )
+    if len(rows.scenes) > 1 or len(log.attachments) > len(attached):
+        raise LogError(f"{log.name}: more than one result in one file; give them one by one")
     if log.problems:
         problem = log.problems[0]
         place = "" if problem.offset is None else f" at byte {problem.offset}"
@@ -135,8 +137,6 @@ def _require_whole(log: LogFile, rows: ResultRows) -> None:
         )
     if missing:
         raise LogError(f"{log.name}: not a whole result: it lacks {', '.join(missing)}; {_REMEDY}")
-    if len(rows.scenes) > 1 or len(log.attachments) > len(attached):
-        raise LogError(f"{log.name}: more than one result in one file; give them one by one")
 
 
 def _table(rows: list[Row], schema: pl.Schema) -> pl.DataFrame:

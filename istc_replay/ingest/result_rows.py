@@ -66,6 +66,8 @@ def _collect_state(rows: ResultRows, state: Any, source: str) -> None:
 
 def _collect_guidance(rows: ResultRows, guidance: Any, _: str) -> None:
     columns = (guidance.times_ns, guidance.x_m, guidance.y_m, guidance.heading_rad)
+    if len({len(column) for column in columns}) > 1:
+        raise ValueError(f"a guidance of {len(columns[0])} times whose places differ in number")
     rows.states += [
         ("guidance", guidance.window, guidance.vehicle_id, *place, *(None,) * 9)
         for place in zip(*columns, strict=True)

@@ -1,0 +1,460 @@
+"""A result is read back as it was written, whole or not at all."""
+
+from __future__ import annotations
+
+import dataclasses
+import io
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap.writer import Writer
+from mcap_protobuf.schema import build_file_descriptor_set
+from polars.testing import assert_frame_equal
+
+from istc_replay import messages
+from istc_replay.datatypes import (
+    Certificate,
+    Corridor,
+    Corridors,
+    Frame,
+    LaneLine,
+    Log,
+    MapBounds,
+    Obstacle,
+    Result,
+    Scenario,
+    SceneObstacle,
+    SolveStatus,
+    StaticScene,
+    VehicleInfo,
+    Window,
+    WindowPlan,
+    WindowStatus,
+    read_only,
+)
+from istc_replay.errors import LogError
+from istc_replay.export.result_mcap import result_bytes, solve_times
+from istc_replay.ingest.result import load_result_folder, read_result, repeatable_summary
+from istc_replay.states import (
+    CERTIFICATES_SCHEMA,
+    CORRIDORS_SCHEMA,
+    OBSTACLES_SCHEMA,
+    RESULT_STATES_SCHEMA,
+    SOLVES_SCHEMA,
+    STATES_SCHEMA,
+)
+
+Plan = tuple[Log, list[WindowPlan]]
+S = 1_000_000_000
+
+
+def write(log: Log, plans: list[WindowPlan] | None = None, **changes: Any) -> bytes:
+    arguments: dict[str, Any] = {
+        "certificates": [],
+        "summary": {},
+        "config_toml": "",
+        "provenance": {},
+        **changes,
+    }
+    return result_bytes(log, plans or [], **arguments)
+
+
+def recorded_of(states: pl.DataFrame) -> pl.DataFrame:
+    """The states table that a log of these states should come back as, but for the windows."""
+    known = [name for name in RESULT_STATES_SCHEMA.names() if name in states.columns]
+    return states.sort("vehicle_id", "time_ns", maintain_order=True).select(known)
+
+
+# --- write, then read ------------------------------------------------------------------------
+
+
+def test_the_tables_have_their_schemas(synthetic_result: Result) -> None:
+    result = synthetic_result
+    assert result.states.schema == RESULT_STATES_SCHEMA
+    assert result.corridors.schema == CORRIDORS_SCHEMA
+    assert result.obstacles.schema == OBSTACLES_SCHEMA
+    assert result.solves.schema == SOLVES_SCHEMA
+    assert result.certificates.schema == CERTIFICATES_SCHEMA
+
+
+def test_a_result_of_nothing_has_empty_tables_of_the_same_schemas(synthetic_plan: Plan) -> None:
+    log = dataclasses.replace(synthetic_plan[0], states=pl.DataFrame(schema=STATES_SCHEMA))
+    result = read_result(write(log))
+    assert_frame_equal(result.states, pl.DataFrame(schema=RESULT_STATES_SCHEMA))
+    assert_frame_equal(result.corridors, pl.DataFrame(schema=CORRIDORS_SCHEMA))
+    assert_frame_equal(result.certificates, pl.DataFrame(schema=CERTIFICATES_SCHEMA))
+
+
+_MAYBE = st.none() | st.floats(-1e6, 1e6)
+_SIZES = st.tuples(st.floats(0.1, 30.0), st.floats(0.1, 5.0), _MAYBE, _MAYBE) | st.just((None,) * 4)
+
+
+@st.composite
+def state_rows(draw: st.DrawFn) -> tuple[Any, ...]:
+    vehicle = draw(st.sampled_from(["a", "b", "../x", "", "ü"]))
+    time_ns = draw(st.integers(-(2**62), 2**62) | st.integers(0, 10))
+    place = draw(st.tuples(st.floats(-1e7, 1e7), st.floats(-1e7, 1e7)))
+    kinematics = draw(st.tuples(*[_MAYBE] * 6))
+    return (vehicle, time_ns, 0, 0, *place, *kinematics, *draw(_SIZES), "vehicle", "/t", 0, 0)
+
+
+@settings(max_examples=60, deadline=None)
+@given(st.lists(state_rows(), max_size=12))
+def test_recorded_states_come_back_exactly(rows: list[tuple[Any, ...]]) -> None:
+    states = pl.DataFrame(rows, schema=STATES_SCHEMA, orient="row")
+    log = Log("x", "0", True, 0, 0, 0, 0, None, None, (), states, StaticScene(), ())
+    read = read_result(write(log)).states
+    expected = recorded_of(states)
+    assert_frame_equal(read.select(expected.columns), expected, check_exact=True)
+    assert read["source"].to_list() == ["recorded"] * len(rows)
+    assert read["window"].null_count() == len(rows)
+
+
+_COORDINATE = st.floats(-1e6, 1e6)
+
+
+@st.composite
+def corridors(draw: st.DrawFn) -> WindowPlan:
+    units = draw(st.integers(1, 4))
+    unit_s = draw(st.sampled_from([0.25, 0.5, 1.0, 1.0 / 3.0]))
+    start_ns = draw(st.integers(0, 2**61))
+    frame = Frame(draw(_COORDINATE), draw(_COORDINATE), draw(st.floats(-3.2, 3.2)))
+    window = Window(
+        draw(st.integers(0, 2**31 - 1)), start_ns, start_ns + round(units * unit_s * S), unit_s, units, frame
+    )
+    found = []
+    for name in draw(st.lists(st.text(max_size=5), unique=True, max_size=3)):
+        first = draw(st.integers(0, units - 1))
+        count = units - first
+        cubes = draw(st.lists(st.tuples(*[_COORDINATE] * 4), min_size=count, max_size=count))
+        points = draw(st.lists(st.tuples(*[_COORDINATE] * 4), min_size=count + 1, max_size=count + 1))
+        ends = np.array(points)
+        found.append(
+            Corridor(name, first, read_only(cubes, 4), read_only(ends[:, :2], 2), read_only(ends[:, 2:], 2))
+        )
+    absent = st.just((np.nan,) * 4)
+    boxes = st.lists(st.tuples(*[_COORDINATE] * 4) | absent, min_size=units, max_size=units)
+    obstacles = [
+        Obstacle(name, read_only(draw(boxes), 4))
+        for name in draw(st.lists(st.text(max_size=5), unique=True, max_size=3))
+    ]
+    scenario = Scenario(window, (), tuple(obstacles), None)
+    return WindowPlan(
+        scenario, WindowStatus.NOT_DRIVABLE, corridors=Corridors(SolveStatus.FEASIBLE, tuple(found))
+    )
+
+
+@settings(max_examples=60, deadline=None)
+@given(corridors())
+def test_corridors_and_obstacles_come_back_exactly(plan: WindowPlan) -> None:
+    empty = pl.DataFrame(schema=STATES_SCHEMA)
+    log = Log("x", "0", True, 0, 0, 0, 0, None, None, (), empty, StaticScene(), ())
+    assert plan.corridors is not None
+    # Corridors are of vehicles that the log holds.
+    names = [corridor.vehicle_id for corridor in plan.corridors.corridors]
+    log = dataclasses.replace(log, states=_standing(names))
+    result = read_result(write(log, [plan]))
+    window = plan.scenario.window
+    frame = (window.frame.yaw_rad, window.frame.x_m, window.frame.y_m)
+
+    def span(k: int) -> tuple[int, int]:
+        return tuple(window.start_ns + round(i * window.unit_s * S) for i in (k, k + 1))  # type: ignore[return-value]
+
+    expected = [
+        (window.index, c.vehicle_id, c.first_unit + i, *span(c.first_unit + i), *cube, *c.pivots_m[i],
+         *c.pivots_m[i + 1], *c.references_m[i], *c.references_m[i + 1], *frame)
+        for c in plan.corridors.corridors for i, cube in enumerate(c.cubes_m)
+    ]  # fmt: skip
+    assert result.corridors.rows() == expected
+    assert result.obstacles.rows() == [
+        (window.index, obstacle.obstacle_id, k, *span(k), *box, *frame)
+        for obstacle in plan.scenario.obstacles
+        for k, box in enumerate(obstacle.boxes_m)
+        if not np.isnan(box).any()
+    ]
+
+
+def _standing(names: list[str]) -> pl.DataFrame:
+    rows = [(name, 0, 0, 0, 0.0, 0.0, *[None] * 10, "vehicle", "/t", 0, 0) for name in names]
+    return pl.DataFrame(rows, schema=STATES_SCHEMA, orient="row")
+
+
+def test_certificates_come_back(synthetic_result: Result, synthetic_certificates: list[Certificate]) -> None:
+    start_ns = synthetic_result.corridors["start_ns"].min()
+    assert isinstance(start_ns, int)
+    expected = [
+        (
+            c.window,
+            c.check,
+            c.verdict.value,
+            c.margin,
+            c.unit,
+            None if c.time_s is None else start_ns + round(c.time_s * S),
+            list(c.vehicles),
+            c.detail,
+        )
+        for c in synthetic_certificates
+    ]
+    assert synthetic_result.certificates.rows() == expected
+
+
+def test_solves_come_back_without_their_times(synthetic_result: Result, synthetic_plan: Plan) -> None:
+    names = ["objective", "bound", "gap", "wall_s", "iterations", "nodes", "binaries"]
+    assert synthetic_result.solves.select("vehicle_id", "stage", *names).rows() == [
+        (r.vehicle_id, r.stage, *(None if name == "wall_s" else getattr(r, name) for name in names))
+        for r in synthetic_plan[1][0].records
+    ]
+
+
+def test_the_scene_comes_back(synthetic_plan: Plan) -> None:
+    log = synthetic_plan[0]
+    scene = StaticScene(
+        (*log.scene.lane_lines, LaneLine("empty", read_only([], 2))),
+        (SceneObstacle("o", 1.0, 2.0, 0.5, 3.0, 4.0),),
+        MapBounds(-1.0, 1.0, -2.0, 2.0),
+        (*log.scene.vehicles, VehicleInfo("silent")),
+    )
+    read = read_result(write(dataclasses.replace(log, scene=scene))).scene
+    assert (read.obstacles, read.bounds, read.vehicles) == (scene.obstacles, scene.bounds, scene.vehicles)
+    for one, two in zip(read.lane_lines, scene.lane_lines, strict=True):
+        assert (one.lane_id, one.vehicle_id, one.points_m.tolist()) == (
+            two.lane_id,
+            two.vehicle_id,
+            two.points_m.tolist(),
+        )
+
+
+def test_guidance_comes_back_in_the_map_frame(synthetic_result: Result) -> None:
+    # The fixture's guidance is its recording.
+    columns = ["vehicle_id", "time_ns", "x_m", "y_m", "heading_rad"]
+    states = synthetic_result.states
+    guidance = states.filter(pl.col("source") == "guidance").select(columns)
+    recorded = states.filter(pl.col("source") == "recorded").select(columns)
+    assert_frame_equal(guidance, recorded, abs_tol=1e-9)
+
+
+def test_config_and_summary_come_back(synthetic_result: Result, synthetic_summary: dict[str, Any]) -> None:
+    assert synthetic_result.config_toml == "[window]\nunit_s = 1.0\n"
+    assert synthetic_result.summary == repeatable_summary(synthetic_summary)
+    assert "stages" not in synthetic_result.summary
+    assert "seconds" not in synthetic_result.summary["windows"][0]["corridors"]
+
+
+def test_states_are_sorted_by_source_window_vehicle_and_time(synthetic_result: Result) -> None:
+    order = {"recorded": 0, "planned": 1, "guidance": 2}
+    keys = [
+        (order[source], vehicle, time)
+        for source, vehicle, time in synthetic_result.states.select("source", "vehicle_id", "time_ns").rows()
+    ]
+    assert keys == sorted(keys)
+
+
+# --- windows of recorded states --------------------------------------------------------------
+
+
+def window_plan(index: int, start_s: int, end_s: int) -> WindowPlan:
+    window = Window(index, start_s * S, end_s * S, 1.0, end_s - start_s, Frame())
+    return WindowPlan(Scenario(window, (), (), None), WindowStatus.NOTHING_TO_PLAN)
+
+
+def test_a_recorded_state_belongs_to_the_latest_window_around_it() -> None:
+    rows = [("a", t * S, 0, 0, 0.0, 0.0, *[None] * 10, "vehicle", "/t", 0, 0) for t in range(10)]
+    states = pl.DataFrame(rows, schema=STATES_SCHEMA, orient="row")
+    log = Log("x", "0", True, 0, 0, 0, 0, None, None, (), states, StaticScene(), ())
+    # Two windows meet at 3 s; after 5 s there is none until 7 s.
+    plans = [window_plan(0, 1, 3), window_plan(1, 3, 5), window_plan(2, 7, 8)]
+    assert read_result(write(log, plans)).states["window"].to_list() == [
+        None, 0, 0, 1, 1, 1, None, 2, 2, None,
+    ]  # fmt: skip
+
+
+# --- what is not a result --------------------------------------------------------------------
+
+
+def test_a_recorded_log_is_not_a_result() -> None:
+    path = Path(__file__).resolve().parents[2] / "sample_logs" / "intersection_turn_first.mcap"
+    if not path.exists():
+        pytest.skip("sample_logs/intersection_turn_first.mcap is not there")
+    with pytest.raises(
+        LogError, match=r"turn_first\.mcap: not a result: it lacks the metadata istc\.provenance"
+    ):
+        read_result(path)
+
+
+def test_what_a_result_lacks_is_named(synthetic_bytes: bytes) -> None:
+    stream = io.BytesIO()
+    writer = Writer(stream)
+    writer.start()
+    writer.add_metadata("istc.provenance", {})
+    writer.add_attachment(0, 0, "config.toml", "application/toml", b"")
+    writer.finish()
+    lacks = "lacks the attachment summary.json, the topic /istc/static of istc.v1.Scene; make it again"
+    with pytest.raises(LogError, match=lacks):
+        read_result(stream.getvalue())
+
+
+def test_a_missing_file_is_told(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match="no such file"):
+        read_result(tmp_path / "result.mcap")
+    with pytest.raises(LogError, match="no such file"):
+        load_result_folder(tmp_path)
+
+
+def one_message(topic: str, kind: str, data: bytes) -> bytes:
+    stream = io.BytesIO()
+    writer = Writer(stream)
+    writer.start()
+    descriptors = build_file_descriptor_set(messages.message(kind)).SerializeToString()
+    schema = writer.register_schema(f"istc.v1.{kind}", "protobuf", descriptors)
+    writer.add_message(writer.register_channel(topic, "protobuf", schema), 0, data, 0)
+    writer.finish()
+    return stream.getvalue()
+
+
+def test_a_topic_of_another_schema_is_damage_not_silence() -> None:
+    with pytest.raises(
+        LogError, match=r"'/istc/corridors'.*'istc\.v1\.Scene', not protobuf of istc\.v1\.Corridors"
+    ):
+        read_result(one_message("/istc/corridors", "Scene", b""))
+
+
+@pytest.mark.parametrize(
+    ("topic", "kind", "data", "told"),
+    [
+        ("/istc/static", "Scene", b"\xff\xff", "not a message of istc.v1.Scene"),
+        ("/istc/planned/a", "VehicleState", b"", "a planned state without its window"),
+        (
+            "/istc/guidance/a",
+            "Guidance",
+            messages.message("Guidance")(x_m=[1.0]).SerializeToString(),
+            "a guidance of 0 times whose places differ",
+        ),
+        (
+            "/istc/corridors",
+            "Corridors",
+            messages.message("Corridors")(corridors=[{"cubes": [{}], "pivots": [{}]}]).SerializeToString(),
+            "a corridor of 1 cubes, 1 pivotal and 0 reference points",
+        ),
+    ],
+)
+def test_a_message_that_breaks_its_rules_is_damage(topic: str, kind: str, data: bytes, told: str) -> None:
+    with pytest.raises(LogError, match=f"damaged result: .*{told}") as caught:
+        read_result(one_message(topic, kind, data))
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("name", "data", "told"),
+    [
+        ("summary.json", b"[1]", "not a JSON object"),
+        ("summary.json", b"[" * 100_000, "not a JSON object"),
+        (
+            "summary.json",
+            b'{"schema": "istc-replay.summary.v2"}',
+            "this version reads istc-replay.summary.v1",
+        ),
+        ("config.toml", b"\xff", "config.toml is not UTF-8"),
+    ],
+)
+def test_attachments_that_cannot_be_used_are_told(name: str, data: bytes, told: str) -> None:
+    stream = io.BytesIO()
+    writer = Writer(stream)
+    writer.start()
+    writer.add_metadata("istc.provenance", {})
+    schema = writer.register_schema("istc.v1.Scene", "protobuf", b"")
+    writer.add_message(writer.register_channel("/istc/static", "protobuf", schema), 0, b"", 0)
+    for attached, usual in (("config.toml", b""), ("summary.json", b"{}")):
+        writer.add_attachment(0, 0, attached, "text/plain", data if attached == name else usual)
+    writer.finish()
+    with pytest.raises(LogError, match=told):
+        read_result(stream.getvalue())
+
+
+# --- damage ----------------------------------------------------------------------------------
+
+
+def tables(result: Result) -> list[Any]:
+    return [result.states, result.corridors, result.obstacles, result.solves, result.certificates]
+
+
+def test_no_truncated_result_is_read(synthetic_bytes: bytes) -> None:
+    for size in range(0, len(synthetic_bytes), 997):
+        with pytest.raises(LogError):
+            read_result(synthetic_bytes[:size])
+
+
+def test_the_damage_is_named(synthetic_bytes: bytes) -> None:
+    with pytest.raises(LogError, match="damaged result: truncated at byte"):
+        read_result(synthetic_bytes[:-20])
+
+
+def test_a_changed_byte_is_told_or_changes_nothing(synthetic_bytes: bytes, synthetic_result: Result) -> None:
+    for position in range(0, len(synthetic_bytes), 509):
+        changed = bytearray(synthetic_bytes)
+        changed[position] ^= 0x5A
+        try:
+            result = read_result(bytes(changed))
+        except LogError as error:
+            assert "\n" not in str(error)  # noqa: PT017
+            continue
+        for one, two in zip(tables(result), tables(synthetic_result), strict=True):
+            assert_frame_equal(one, two)
+        assert (result.summary, result.config_toml) == (
+            synthetic_result.summary,
+            synthetic_result.config_toml,
+        )
+
+
+def test_two_results_in_one_file_are_refused(synthetic_bytes: bytes) -> None:
+    with pytest.raises(LogError, match="more than one result in one file"):
+        read_result(synthetic_bytes + synthetic_bytes)
+
+
+# --- the folder ------------------------------------------------------------------------------
+
+
+@pytest.fixture
+def folder(
+    tmp_path: Path, synthetic_plan: Plan, synthetic_bytes: bytes, synthetic_summary: dict[str, Any]
+) -> Path:
+    """A result's folder as run writes it."""
+    (tmp_path / "result.mcap").write_bytes(synthetic_bytes)
+    summary = {**synthetic_summary, "solves": solve_times(synthetic_plan[1])}
+    (tmp_path / "summary.json").write_text(json.dumps(summary))
+    return tmp_path
+
+
+@pytest.mark.parametrize("name", ["", "result.mcap"])
+def test_the_summary_beside_a_result_lends_its_times(folder: Path, name: str) -> None:
+    result = load_result_folder(folder / name)
+    assert result.path == str(folder / "result.mcap")
+    assert result.solves["wall_s"].to_list() == [0.05, 0.9, 0.02, 0.02, 0.02]
+    assert result.summary["totals"]["cpu_s"] == 1.5
+
+
+@pytest.mark.parametrize(
+    "foreign", ['{"schema": "istc-replay.summary.v1"}', "no json", "[]", "[" * 100_000, "\udcff"]
+)
+def test_a_summary_of_something_else_is_left_alone(folder: Path, foreign: str) -> None:
+    (folder / "summary.json").write_bytes(foreign.encode("utf-8", "surrogateescape"))
+    result = load_result_folder(folder)
+    assert result.solves["wall_s"].null_count() == 5
+    assert "stages" not in result.summary
+
+
+@pytest.mark.parametrize("times", [[], [1.0] * 5, "x", [{"wall_s": "soon"}] * 5])
+def test_times_that_do_not_fit_the_solves_are_not_used(folder: Path, times: Any) -> None:
+    summary = json.loads((folder / "summary.json").read_text())
+    (folder / "summary.json").write_text(json.dumps({**summary, "solves": times}))
+    assert load_result_folder(folder).solves["wall_s"].null_count() == 5
+
+
+def test_a_result_without_a_summary_beside_it_is_read(folder: Path, synthetic_result: Result) -> None:
+    (folder / "summary.json").unlink()
+    assert_frame_equal(load_result_folder(folder).states, synthetic_result.states)
