@@ -196,7 +196,7 @@ def _recorded_tracks(
     name = topic_name(vehicle_id)
     usual = planned or vehicles
     times_ns = states["time_ns"].to_numpy()
-    poses = states.select("x_m", "y_m", pl.col("heading_rad").fill_null(0.0)).to_numpy()
+    poses = states.select("x_m", "y_m", pl.col("heading_rad").fill_nan(0.0).fill_null(0.0)).to_numpy()
     step_ns = _step_ns(times_ns)
     cuts = np.flatnonzero(np.diff(times_ns) > _GAP_STEPS * step_ns) + 1
     for rows in np.split(np.arange(len(times_ns)), cuts):

@@ -6,7 +6,9 @@ in time shows the last message alone; whatever it shows ends with the next messa
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Sequence
+from functools import cache
 from itertools import groupby
 
 import numpy as np
@@ -214,9 +216,10 @@ def _pose(x_m: float, y_m: float, heading_rad: float, z_m: float = 0.0) -> Pose:
 
 
 def _rotation(heading_rad: float) -> Quaternion:
-    return Quaternion(x=0.0, y=0.0, z=np.sin(heading_rad / 2.0), w=np.cos(heading_rad / 2.0))
+    return Quaternion(x=0.0, y=0.0, z=math.sin(heading_rad / 2.0), w=math.cos(heading_rad / 2.0))
 
 
+@cache
 def _colour(colour: Colour, opacity: float) -> Color:
     red, green, blue = colour
     return Color(r=red / 255.0, g=green / 255.0, b=blue / 255.0, a=opacity)
