@@ -12,17 +12,16 @@ from matplotlib.colors import to_rgba
 from matplotlib.figure import Figure
 
 from istc_replay.datatypes import FloatArray
-from istc_replay.export.colours import OBSTACLE
 from istc_replay.export.figures.closest import ClosestPair
 from istc_replay.export.figures.style import (
     CONTACT,
+    GRID,
     INK,
     MUTED,
     NAMED,
     VehicleStyle,
     foot_height_in,
     foot_legend,
-    hex_colour,
     new_figure,
     origin_note,
 )
@@ -150,12 +149,11 @@ def _draw_ground(axes: Axes, scene: WindowScene) -> None:
     if len(scene.lanes_m):
         axes.plot(*scene.lanes_m.T, color=MUTED, linewidth=0.7, zorder=0.6)
     if len(scene.standing_m):
-        grey = hex_colour(OBSTACLE)
         axes.add_collection(
             PolyCollection(
                 list(scene.standing_m),
-                facecolors=to_rgba(grey, 0.35),
-                edgecolors=grey,
+                facecolors=GRID,
+                edgecolors=MUTED,
                 linewidths=0.8,
                 hatch="xxx",
             ),

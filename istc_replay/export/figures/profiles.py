@@ -42,8 +42,8 @@ def draw_speed_acceleration(scene: WindowScene) -> Figure:
     axes[1].set(ylabel="acceleration [m/s²]", xlabel="time from the window's start [s]")
     if scene.planned:
         limits = scene.config.trajectories
-        _draw_limits(axes[0], [0.0] + [limits.speed_max_mps] * (not _limit_is_raised(scene)))
-        _draw_limits(axes[1], [-limits.deceleration_max_mps2, limits.acceleration_max_mps2])
+        _draw_limits(axes[0], (0.0, _speed_limit_mps(scene)))
+        _draw_limits(axes[1], (-limits.deceleration_max_mps2, limits.acceleration_max_mps2))
     names = list(scene.recorded | scene.planned)
     vehicle_legend(
         figure, [scene.styles[name] for name in names], loc="upper left", bbox_to_anchor=(0.825, 0.99)
@@ -83,12 +83,10 @@ def _draw_line(
         )
 
 
-def _limit_is_raised(scene: WindowScene) -> bool:
-    """Whether traffic was so fast that the plan's largest speed is not the configured one."""
-    fastest = max(
-        (float(np.nanmax(track.speeds_mps, initial=0.0)) for track in scene.recorded.values()), default=0.0
-    )
-    return 1.15 * fastest + 1.0 > scene.config.trajectories.speed_max_mps
+def _speed_limit_mps(scene: WindowScene) -> float:
+    """The largest speed of the plan: as configured, or more where traffic was faster."""
+    fastest = [float(np.nanmax(abs(track.speeds_mps), initial=0.0)) for track in scene.recorded.values()]
+    return max(scene.config.trajectories.speed_max_mps, 1.15 * max(fastest, default=0.0) + 1.0)
 
 
 def _draw_limits(axes: Axes, limits: Iterable[float]) -> None:

@@ -15,14 +15,12 @@ from mpl_toolkits.mplot3d import Axes3D, proj3d
 from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
 from istc_replay.datatypes import FloatArray
-from istc_replay.export.colours import OBSTACLE
 from istc_replay.export.figures.style import (
     INK,
     MUTED,
     NAMED,
     PAPER,
     VehicleStyle,
-    hex_colour,
     line_legend,
     new_figure,
     origin_note,
@@ -62,7 +60,7 @@ def draw_all_corridors(scene: WindowScene) -> Figure:
     if len(scene.lanes_m):
         meaning.append(("lanes (on the floor)", {"color": MUTED, "linewidth": 0.7}))
     if scene.obstacles:
-        meaning.append(("obstacles", {"color": hex_colour(OBSTACLE), "linewidth": 5, "alpha": 0.6}))
+        meaning.append(("obstacles", {"color": MUTED, "linewidth": 5, "alpha": 0.6}))
     line_legend(figure, meaning, loc="lower left", bbox_to_anchor=(0.80, 0.03))
     origin_note(figure, scene.origin_m, at_top=False)
     return figure
@@ -219,9 +217,8 @@ def _draw_prisms(
     faces: list[FloatArray] = []
     fills: list[Any] = []
     edges: list[Any] = []
-    grey = hex_colour(OBSTACLE)
     painted = [(style.colour, 0.13, 0.8, shape) for style, shape in corridors]
-    painted += [(grey, 0.3, 0.6, _standing(shape)) for shape in obstacles]
+    painted += [(MUTED, 0.3, 0.6, _standing(shape)) for shape in obstacles]
     for colour, fill, edge, shape in painted:
         quads = _prism_faces(shape)
         faces.append(quads)

@@ -181,5 +181,3 @@ def _add_legend(
     legend = target.legend(list(handles), [str(n) for n in range(len(names))], **where)
     for text, name in zip(legend.get_texts(), names, strict=True):
         text.set_text(name)
-    if isinstance(target, Axes):
-        target.add_artist(legend)

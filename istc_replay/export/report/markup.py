@@ -1,0 +1,155 @@
+"""HTML that is escaped unless it says otherwise: plain strings are text, `Html` is markup."""
+
+from __future__ import annotations
+
+import html
+import math
+from collections.abc import Iterable, Sequence
+from typing import Any
+
+#: Names longer than this are cut in the middle; their titles show a little more.
+_NAME_CHARACTERS = 40
+_TITLE_CHARACTERS = 240
+_TEXT_CHARACTERS = 600
+_VOID = frozenset({"meta", "br"})
+
+NOTHING = "–"
+
+
+class Html(str):
+    """Text that is already markup; everything else is escaped."""
+
+    __slots__ = ()
+
+
+Content = Any  # Html, str, number, None, or an iterable of these
+
+
+def element(tag: str, *children: Content, **attributes: str | bool | None) -> Html:
+    """Build one element.
+
+    Parameters
+    ----------
+    tag : str
+        Its name, a constant of the caller.
+    *children : Html, str, number, None or iterables of these
+        What it holds; strings are escaped, None is left out.
+    **attributes : str or bool or None
+        Its attributes; values are escaped, underscores of names become dashes and a trailing one
+        is dropped, True is a bare attribute, None and False leave it out.
+    """
+    parts = []
+    for name, value in attributes.items():
+        if value is None or value is False:
+            continue
+        attribute = name.rstrip("_").replace("_", "-")
+        parts.append(f" {attribute}" if value is True else f' {attribute}="{html.escape(visible(value))}"')
+    opening = f"<{tag}{''.join(parts)}>"
+    return Html(opening if tag in _VOID else f"{opening}{join(children)}</{tag}>")
+
+
+def join(children: Iterable[Content], separator: str = "") -> Html:
+    """Join contents; strings are escaped."""
+    return Html(separator.join(_markup(child) for child in children))
+
+
+def _markup(child: Content) -> str:
+    if child is None:
+        return ""
+    if isinstance(child, Html):
+        return str(child)
+    if isinstance(child, str):
+        return html.escape(visible(child))
+    if isinstance(child, (int, float)):
+        return html.escape(str(child))
+    return join(child)
+
+
+def visible(text: str) -> str:
+    r"""Return text with its unprintable characters written out, as \n or \u202e.
+
+    Control characters, lone surrogates and marks that turn the writing direction would be
+    invisible, unwritable, or reorder what stands around them.
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
+
+
+def shortened(text: str, characters: int = _NAME_CHARACTERS) -> str:
+    """Cut a long text in its middle."""
+    if len(text) <= characters:
+        return text
+    tail = characters // 3
+    return f"{text[: characters - tail - 1]}…{text[-tail:]}"
+
+
+def name(text: Any) -> Html:
+    """An untrusted name: isolated from the text around it, short, its title longer."""
+    whole = visible(str(text)[:_TITLE_CHARACTERS]) + ("…" if len(str(text)) > _TITLE_CHARACTERS else "")
+    short = shortened(visible(shortened(str(text))), 2 * _NAME_CHARACTERS)
+    return element("bdi", short, class_="name", title=None if short == whole else whole)
+
+
+def names(texts: Iterable[Any], most: int = 12) -> Html:
+    """Several names: a, b and c; past `most` the rest is counted."""
+    values = list(texts)
+    shown = [name(value) for value in values[:most]]
+    if len(values) > most:
+        return join([join(shown, ", "), f" and {len(values) - most} more"])
+    if len(shown) > 1:
+        return join([join(shown[:-1], ", "), " and ", shown[-1]])
+    return join(shown)
+
+
+def prose(text: Any) -> Html:
+    """An untrusted sentence: isolated and at most a paragraph long."""
+    return element("bdi", visible(shortened(str(text), _TEXT_CHARACTERS)))
+
+
+def number(value: Any, digits: int = 2, unit: str = "") -> str:
+    """A number with fixed decimals and its unit; a dash where there is none."""
+    if isinstance(value, bool) or not isinstance(value, (int, float)) or not math.isfinite(value):
+        return NOTHING
+    if isinstance(value, int):
+        text = str(value) if abs(value) < 10**15 else f"{value:.3g}"
+    elif value != 0.0 and (abs(value) >= 1e7 or abs(value) < 0.5 * 10.0**-digits):
+        text = f"{value:.3g}"
+    else:
+        text = f"{value:.{digits}f}"
+    return f"{text.replace('-', '−')}{' ' + unit if unit else ''}"
+
+
+def table(
+    caption: Content, headings: Sequence[str], rows: Iterable[Sequence[Content]], numeric: Iterable[int] = ()
+) -> Html:
+    """A table whose first column heads its rows; `numeric` columns are set right."""
+    right = frozenset(numeric)
+    head = element(
+        "tr",
+        [
+            element("th", text, scope="col", class_="n" if i in right else None)
+            for i, text in enumerate(headings)
+        ],
+    )
+    body = [
+        element(
+            "tr",
+            element("th", row[0], scope="row", class_="n" if 0 in right else None),
+            [
+                element("td", cell, class_="n" if i in right else None)
+                for i, cell in enumerate(row[1:], start=1)
+            ],
+        )
+        for row in rows
+    ]
+    whole = element("table", element("caption", caption), element("thead", head), element("tbody", body))
+    return element("div", whole, class_="wide")
+
+
+def facts(pairs: Iterable[tuple[str, Content]]) -> Html:
+    """A list of named values; those that are None are left out."""
+    shown = [(title, value) for title, value in pairs if value is not None]
+    return element(
+        "dl", [element("div", element("dt", title), element("dd", value)) for title, value in shown]
+    )
