@@ -1,3 +1,39 @@
-"""istc-replay: replay recorded multi-vehicle logs with interactive spatio-temporal corridors."""
+"""istc-replay: replay recorded multi-vehicle logs with interactive spatio-temporal corridors.
+
+`read_states(path)`, `replay(path, config)` and `load_result(path)` do from Python what the
+commands do.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    import polars as pl
+
+    from istc_replay.config import Config
+    from istc_replay.datatypes import Result
 
 __version__ = "0.1.0"
+
+
+def read_states(path: str | Path, config: Config | None = None) -> pl.DataFrame:
+    """Read a log's recorded states, one row each (columns: `states.STATES_SCHEMA`)."""
+    from istc_replay.ingest.log import read_log
+
+    return read_log(Path(path), config).states
+
+
+def replay(path: str | Path, config: Config | None = None) -> Result:
+    """Replay a log, in memory, and return its result."""
+    from istc_replay.replay import replay_log
+
+    return replay_log(Path(path), config).result
+
+
+def load_result(path: str | Path) -> Result:
+    """Load a result from its folder or its result.mcap."""
+    from istc_replay.ingest.result import load_result_folder
+
+    return load_result_folder(Path(path))

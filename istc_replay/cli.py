@@ -10,7 +10,7 @@ import json
 import sys
 import traceback
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import click
 
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 
 _INTERNAL_ERROR = 4
 _INTERRUPTED = 130
+_TABLE_FORMATS: tuple[Literal["parquet", "csv"], ...] = ("parquet", "csv")
 _FILE = click.Path(path_type=Path)
 
 
@@ -286,10 +287,11 @@ def export(source: Path, output: Path, formats: str, config_path: Path | None) -
     Example:  istc-replay export results/intersection_turn_first -o tables --format parquet,csv
     """
     from istc_replay.config import load_config
-    from istc_replay.export.tables import export_tables
+    from istc_replay.replay import export_tables
 
-    chosen = [part.strip() for part in formats.split(",")]
-    unknown = [part for part in chosen if part not in ("parquet", "csv")]
+    parts = [part.strip() for part in formats.split(",")]
+    chosen = [known for known in _TABLE_FORMATS if known in parts]
+    unknown = [part for part in parts if part not in _TABLE_FORMATS]
     if unknown:
         raise click.UsageError(f"--format {formats}: {unknown[0]!r} is not one of parquet, csv")
     complete, files = export_tables(source, output, chosen, load_config(config_path))
@@ -309,12 +311,9 @@ def sample(scene: str, out: Path) -> None:
     Names:    intersection_turn_first, intersection_straight_first, intersection_osi,
               intersection_odometry, dense_4; the form of a scene file is schemas/scene.schema.json
     """
-    from istc_replay.export.atomic import atomic_file
-    from istc_replay.export.sample_log import sample_log
+    from istc_replay.replay import write_sample
 
-    data = sample_log(scene)
-    with atomic_file(out) as file:
-        file.write_bytes(data)
+    write_sample(scene, out)
     click.echo(_line(out))
 
 
@@ -348,13 +347,13 @@ def view(result: Path, save: Path | None) -> None:
     if save is None:
         _show(result)
         return
-    from istc_replay.export.rerun_view import save_view
+    from istc_replay.replay import save_view
 
     save_view(result, save)
     click.echo(_line(save))
 
 
 def _show(result: Path) -> None:
-    from istc_replay.export.rerun_view import show_view
+    from istc_replay.replay import show_view
 
     show_view(result)

@@ -21,7 +21,6 @@ if TYPE_CHECKING:
         Guidance,
         Scenario,
         SolveRecord,
-        Trajectory,
     )
     from istc_replay.trajectories.plan import TrajectoryOutcome
 
@@ -124,4 +123,3 @@ def _exclusion_text(scenario: Scenario) -> str:
     if not scenario.excluded:
         return "none is present"
     return "; ".join(f"{e.vehicle_id}: {e.detail}" for e in scenario.excluded[:5])
-

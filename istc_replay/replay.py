@@ -11,7 +11,8 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib import metadata
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
 
 from istc_replay.config import Config, render_config
 from istc_replay.datatypes import Verdict, WindowStatus
@@ -19,11 +20,8 @@ from istc_replay.errors import ExportError, UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
-    from pathlib import Path
 
     from istc_replay.datatypes import Certificate, Log, Result, WindowPlan
-
-Progress = "Callable[[str, int, int], None]"
 
 _COMPONENTS = ("istc-replay", "casadi", "cbcbox", "daqp", "mcap", "numpy", "polars", "pyomo", "rerun-sdk")
 
@@ -66,7 +64,7 @@ def _silent(_stage: str, _done: int, _total: int) -> None:
     """Report no progress."""
 
 
-def replay(
+def replay_log(
     path: Path,
     config: Config | None = None,
     *,
@@ -204,7 +202,7 @@ def run_log(
         from istc_replay.export.rerun_view import write_view
 
     prepare_folder(folder)
-    done = replay(path, config, progress=progress, stages=stages)
+    done = replay_log(path, config, progress=progress, stages=stages)
     windows = len(done.summary["windows"])
     progress("writing", windows, windows)
     with stages.stage("write_mcap"), atomic_file(folder / "result.mcap") as file:
@@ -233,6 +231,64 @@ def result_folders(paths: Sequence[Path], output: Path) -> dict[Path, Path]:
             raise UsageError(f"{path}: another log writes to {folder} too; run them apart, or rename one")
         folders[path] = folder
     return folders
+
+
+def export_tables(
+    source: Path, folder: Path, formats: Sequence[Literal["parquet", "csv"]], config: Config
+) -> tuple[bool, list[Path]]:
+    """Write the tables of a log or a result; returns whether the source was whole, and the files."""
+    from istc_replay.export.tables import log_tables, result_tables, write_tables
+    from istc_replay.ingest.log import read_log
+    from istc_replay.ingest.result import is_result, load_result_folder
+
+    if is_result(source):
+        return True, write_tables(result_tables(load_result_folder(source)), folder, formats)
+    log = read_log(source, config)
+    return log.complete, write_tables(log_tables(log), folder, formats)
+
+
+def write_sample(scene: str, out: Path) -> None:
+    """Write a sample by its name, or a scene file, as a recorded log.
+
+    Raises
+    ------
+    UsageError
+        If there is no sample and no file of this name.
+    ScenarioError
+        If the scene cannot be driven.
+    """
+    from istc_replay.export.atomic import atomic_file
+    from istc_replay.export.sample_log import sample_bytes
+    from istc_replay.ingest.scene_file import read_scene
+    from istc_replay.samples.scenes import find_sample, record
+
+    if scene.endswith(".json"):
+        data = sample_bytes(record(read_scene(Path(scene))))
+    else:
+        sample = find_sample(scene)
+        data = sample_bytes(sample.record(), sample.format)
+    with atomic_file(out) as file:
+        file.write_bytes(data)
+
+
+def save_view(result: Path, out: Path) -> None:
+    """Make the view of a result (its folder or result.mcap) anew, from result.mcap alone."""
+    from istc_replay.config import parse_config
+    from istc_replay.export.rerun_view import write_view
+    from istc_replay.ingest.result import load_result_folder
+
+    loaded = load_result_folder(result)
+    write_view(loaded, parse_config(loaded.config_toml).view, out)
+
+
+def show_view(result: Path) -> None:
+    """Open a result in Rerun's own viewer; its view.rrd is made anew where it is missing."""
+    from istc_replay.export.rerun_view import show_native
+
+    file = (result if result.is_dir() else result.parent) / "view.rrd"
+    if not file.is_file():
+        save_view(result, file)
+    show_native(file)
 
 
 @cache

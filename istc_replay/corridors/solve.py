@@ -26,6 +26,8 @@ if TYPE_CHECKING:
 _COARSE_SEEDS_M = (-8.0, -4.0, -2.0, -1.0, -0.5, 0.5, 1.0, 2.0, 4.0, 8.0)
 #: CBC may leave this share of the wanted gap open in each round.
 _GAP_SHARE = 0.25
+#: A QP's optimum is taken as a bound less this share.
+_QP_ROUNDING = 1e-6
 
 
 @dataclass(slots=True)
@@ -89,10 +91,10 @@ def solve_corridors(
         proven = _incumbent(search, config)
         if proven is not None:
             return replace(proven, records=tuple(search.records))
-    if config.mode == "certified" or search.z is None:
-        _prove(search, config, PAPER_BIG_M if paper else None)
-    else:
+    if not problem.disjunctions or (config.mode == "fast" and search.z is not None):
         _relax(search)
+    else:
+        _prove(search, config, PAPER_BIG_M if paper else None)
     return _outcome(search, config)
 
 
@@ -138,9 +140,9 @@ def _incumbent(search: _Search, config: CorridorsConfig) -> Corridors | None:
         return Corridors(SolveStatus.INFEASIBLE, reason=reason)
     if tree.z is None:
         return None
-    sized = _size_cubes(search, tree.z, config)
+    choice = chosen_options(problem, _size_cubes(search, tree.z, config)) if problem.disjunctions else []
     began = time.perf_counter()
-    z = polish(problem, chosen_options(problem, sized))
+    z = polish(problem, choice)
     search.offer(z, "joint polish")
     search.record(
         "joint polish",
@@ -236,11 +238,12 @@ def _seed_tangents(milp: MilpModel, z: FloatArray | None) -> None:
 
 
 def _relax(search: _Search) -> None:
-    """Fast mode's own bound: the QP without any disjunction."""
+    """Bound eq. (4) by the QP without disjunctions: fast mode's bound, and exact where there are none."""
     began = time.perf_counter()
     z = polish(search.problem, None)
     if z is not None:
-        search.bound = search.problem.objective(z) - 1e-6
+        objective = search.problem.objective(z)
+        search.bound = objective - _QP_ROUNDING * max(1.0, abs(objective))
     search.record(
         "relaxation",
         "piqp",

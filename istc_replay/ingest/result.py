@@ -73,6 +73,22 @@ def read_result(source: Path | bytes) -> Result:
     )
 
 
+def is_result(path: Path) -> bool:
+    """Tell whether a path names a result: its folder, or a file with a result's provenance.
+
+    Raises
+    ------
+    LogError
+        If there is no such file, or it is not MCAP.
+    """
+    if path.is_dir():
+        return True
+    log = open_log(path)
+    for _ in log.messages(lambda _: False):
+        pass
+    return any(record.name == "istc.provenance" for record in log.metadata)
+
+
 def load_result_folder(path: Path) -> Result:
     """Read a result from its folder, or from the result.mcap in it.
 

@@ -1,0 +1,150 @@
+"""Small scenarios for layer 1, made without any log."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import polars as pl
+import pytest
+
+from istc_replay.config import Config, CorridorsConfig
+from istc_replay.corridors.formulation import build_problem, default_limits
+from istc_replay.corridors.problem import CorridorProblem
+from istc_replay.corridors.solve import solve_corridors
+from istc_replay.datatypes import (
+    Corridors,
+    Dimensions,
+    Frame,
+    Guidance,
+    Log,
+    Obstacle,
+    Participant,
+    Recording,
+    Scenario,
+    StartState,
+    Window,
+    read_only,
+)
+from istc_replay.guidance.build import build_guidance
+from istc_replay.samples.scenes import find_sample
+from istc_replay.scenario import build_scenarios
+
+CAR = Dimensions(4.0, 2.0, 2.7, 1.35)
+
+
+@dataclass(frozen=True)
+class Case:
+    """A scenario with its guidance and settings."""
+
+    scenario: Scenario
+    guidance: tuple[Guidance, ...]
+    config: CorridorsConfig
+
+    def problem(self) -> CorridorProblem:
+        """The corridor problem in our reading."""
+        limits = {p.vehicle_id: default_limits(self.config) for p in self.scenario.participants}
+        return build_problem(self.scenario, self.guidance, self.config, limits, 10.0)
+
+    def solved(self, **changes: object) -> Corridors:
+        """The corridors, with some settings changed."""
+        config = self.config.model_copy(update=changes)
+        limits = {p.vehicle_id: default_limits(config) for p in self.scenario.participants}
+        return solve_corridors(self.scenario, self.guidance, config, limits, 10.0)
+
+
+def straight_driver(
+    vehicle_id: str, start: tuple[float, float, float], speed_mps: float, units: int, priority: float
+) -> Participant:
+    """A participant recorded driving straight on."""
+    x, y, heading = start
+    times = np.linspace(0.0, units, 10 * units + 1)
+    poses = np.stack(
+        [
+            x + speed_mps * times * np.cos(heading),
+            y + speed_mps * times * np.sin(heading),
+            np.full(len(times), heading),
+        ],
+        axis=-1,
+    )
+    return Participant(
+        vehicle_id=vehicle_id,
+        dimensions=CAR,
+        priority=priority,
+        first_unit=0,
+        units=units,
+        start=StartState(x, y, heading, speed_mps),
+        recording=Recording(read_only(times), read_only(poses), read_only(np.full(len(times), speed_mps))),
+    )
+
+
+def case_of(participants: list[Participant], units: int, obstacles: tuple[Obstacle, ...] = ()) -> Case:
+    """A case of one window with these participants and the default settings."""
+    window = Window(0, 0, units * 1_000_000_000, 1.0, units, Frame())
+    scenario = Scenario(window, tuple(participants), obstacles, None, (), len(participants))
+    config = Config()
+    return Case(scenario, build_guidance(scenario, config.guidance), config.corridors)
+
+
+@pytest.fixture(scope="session")
+def crossing() -> Callable[..., Case]:
+    """Random vehicles that all drive through the middle at about the same time."""
+
+    def make(seed: int, vehicles: int = 3, units: int = 4, obstacle: bool = False) -> Case:
+        random = np.random.default_rng(seed)
+        participants = []
+        for number in range(vehicles):
+            heading = 2.0 * np.pi * (number + random.uniform(-0.2, 0.2)) / vehicles
+            speed = random.uniform(4.0, 6.0)
+            distance = random.uniform(10.0, 13.0)
+            start = (-distance * np.cos(heading), -distance * np.sin(heading), float(heading))
+            priority = float(random.choice([0.01, 0.2, 0.5, 1.0]))
+            participants.append(straight_driver(str(number + 1), start, speed, units, priority))
+        boxes = read_only([[1.0, 3.0, -1.0, 1.0]] * units)
+        return case_of(participants, units, (Obstacle("block", boxes),) if obstacle else ())
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def intersection() -> Callable[[str], Case]:
+    """A sample of the paper's intersection, as a case."""
+
+    def make(name: str) -> Case:
+        recorded = find_sample(name).record()
+        stamps = [pl.col("time_ns").alias(c) for c in ("log_time_ns", "publish_time_ns")]
+        states = recorded.states.with_columns(stamps).sort("vehicle_id", "time_ns")
+        log = Log(name, "0" * 64, True, 0, 0, 0, 0, None, None, (), states, recorded.scene, ())
+        config = Config()
+        scenario = next(iter(build_scenarios(log, config)))
+        return Case(scenario, build_guidance(scenario, config.guidance), config.corridors)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def transformed() -> Callable[..., Case]:
+    """A case moved by a shift and turned by quarter turns, and its vehicles renamed."""
+
+    def make(case: Case, quarter_turns: int, shift_m: tuple[float, float], names: dict[str, str]) -> Case:
+        angle = quarter_turns * np.pi / 2
+        c, s = round(np.cos(angle)), round(np.sin(angle))
+        turn = np.array([[c, -s], [s, c]], dtype=float)
+
+        def poses(values: np.ndarray) -> np.ndarray:
+            return read_only(np.column_stack([values[:, :2] @ turn.T + shift_m, values[:, 2] + angle]))
+
+        participants = []
+        for p in case.scenario.participants:
+            x, y = turn @ (p.start.x_m, p.start.y_m) + shift_m
+            start = replace(p.start, x_m=float(x), y_m=float(y), heading_rad=p.start.heading_rad + angle)
+            recording = replace(p.recording, poses=poses(p.recording.poses))
+            lane = None if p.lane_m is None else read_only(p.lane_m @ turn.T + shift_m)
+            name = names.get(p.vehicle_id, p.vehicle_id)
+            participants.append(replace(p, vehicle_id=name, start=start, recording=recording, lane_m=lane))
+        participants.sort(key=lambda p: p.vehicle_id)
+        scenario = replace(case.scenario, participants=tuple(participants))
+        return Case(scenario, build_guidance(scenario, Config().guidance), case.config)
+
+    return make

@@ -1,0 +1,211 @@
+"""Layer 1 as a whole: against an exact solver, under symmetries, and with the paper's findings."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+import pytest
+
+from istc_replay.corridors.problem import CONSTANT, CorridorProblem
+from istc_replay.datatypes import Corridors, SolveStatus
+
+GROUPS = ("intersection_turn_first", "intersection_straight_first")
+
+
+def scip_optimum(problem: CorridorProblem) -> float:
+    """The optimum of eq. (4) by SCIP, with indicator constraints instead of a big M."""
+    scip = pytest.importorskip("pyscipopt", reason="the exact solver SCIP is a test extra")
+    model = scip.Model()
+    model.hideOutput()
+    model.setParam("limits/gap", 1e-6)
+    z = [
+        model.addVar(lb=float(lo), ub=float(hi)) for lo, hi in zip(problem.lower, problem.upper, strict=True)
+    ]
+    for row in problem.rows:
+        expression = scip.quicksum(w * z[i] for i, w in zip(row.index, row.weight, strict=True))
+        if np.isfinite(row.lower):
+            model.addCons(expression >= row.lower)
+        if np.isfinite(row.upper):
+            model.addCons(expression <= row.upper)
+    for disjunction in problem.disjunctions:
+        taken = []
+        for option in disjunction.options:
+            larger = 0.0 if option.larger == CONSTANT else z[option.larger]
+            smaller = 0.0 if option.smaller == CONSTANT else z[option.smaller]
+            binary = model.addVar(vtype="B")
+            model.addConsIndicator(smaller - larger <= -option.gap, binvar=binary)
+            taken.append(binary)
+        model.addCons(scip.quicksum(taken) >= 1)
+    cost = model.addVar(lb=None)
+    squares = scip.quicksum(
+        float(problem.quadratic[i]) * (z[i] - float(problem.reference[i])) ** 2
+        for i in np.flatnonzero(problem.quadratic)
+    )
+    linear = scip.quicksum(float(problem.linear[i]) * z[i] for i in np.flatnonzero(problem.linear))
+    model.addCons(squares + linear <= cost)
+    model.setObjective(cost)
+    model.optimize()
+    if model.getStatus() == "infeasible":
+        return np.inf
+    assert model.getStatus() in ("optimal", "gaplimit")
+    return float(model.getObjVal())
+
+
+@pytest.mark.parametrize("group", GROUPS)
+def test_the_optimum_of_the_intersection_groups_is_scips(
+    group: str, intersection: Callable[..., Any]
+) -> None:
+    case = intersection(group)
+    solved = case.solved()
+    assert solved.status is SolveStatus.OPTIMAL
+    assert solved.gap is not None
+    assert solved.gap <= 1e-3
+    assert solved.objective == pytest.approx(scip_optimum(case.problem()), rel=1e-3)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_the_optimum_of_random_crossings_is_scips(seed: int, crossing: Callable[..., Any]) -> None:
+    case = crossing(seed, vehicles=2 + seed % 2, units=3, obstacle=seed % 4 == 3)
+    solved = case.solved()
+    exact = scip_optimum(case.problem())
+    if solved.status is SolveStatus.INFEASIBLE:
+        assert exact == np.inf
+        assert solved.reason
+    else:
+        assert solved.objective == pytest.approx(exact, rel=1e-3, abs=1e-3)
+        assert solved.bound is not None
+        assert solved.bound <= exact + 1e-5 * max(1.0, abs(exact))
+
+
+@pytest.mark.parametrize("group", GROUPS)
+def test_fast_mode_reports_a_bound_below_its_incumbent(group: str, intersection: Callable[..., Any]) -> None:
+    case = intersection(group)
+    fast, certified = case.solved(mode="fast"), case.solved()
+    assert fast.bound <= certified.objective <= fast.objective
+    assert fast.objective == pytest.approx(certified.objective, rel=1e-2)
+
+
+@pytest.mark.parametrize("group", GROUPS)
+def test_cubes_of_different_vehicles_keep_their_gap(group: str, intersection: Callable[..., Any]) -> None:
+    solved = intersection(group).solved(mode="fast")
+    for first, second in combinations(solved.corridors, 2):
+        a, b = first.cubes_m, second.cubes_m
+        apart = np.max([a[:, 0] - b[:, 1], b[:, 0] - a[:, 1], a[:, 2] - b[:, 3], b[:, 2] - a[:, 3]], axis=0)
+        assert apart.min() >= 0.3 - 1e-7
+
+
+def figures(solved: Corridors) -> dict[str, tuple[float, float]]:
+    """Breadth of eq. (2) and mean distance of the pivotal points from the guidance, by vehicle."""
+    found = {}
+    for corridor in solved.corridors:
+        width, height = np.diff(corridor.cubes_m)[:, [0, 2]].T
+        away = np.hypot(*(corridor.pivots_m - corridor.references_m).T)
+        found[corridor.vehicle_id] = (float((width + height).sum()), float(away.mean()))
+    return found
+
+
+def test_a_larger_eta_gives_a_larger_corridor_nearer_the_guidance(intersection: Callable[..., Any]) -> None:
+    turn_first, straight_first = (figures(intersection(group).solved()) for group in GROUPS)
+    # Table II: vehicles 1 and 2 have the larger eta in group II, vehicle 3 in group I.
+    for vehicle, larger, smaller in (
+        ("1", straight_first, turn_first),
+        ("2", straight_first, turn_first),
+        ("3", turn_first, straight_first),
+    ):
+        assert larger[vehicle][0] > smaller[vehicle][0]
+        assert larger[vehicle][1] < smaller[vehicle][1]
+
+
+@pytest.mark.parametrize("quarter_turns", [0, 1, 2, 3])
+def test_a_moved_turned_and_renamed_scene_has_the_same_corridors(
+    quarter_turns: int, intersection: Callable[..., Any], transformed: Callable[..., Any]
+) -> None:
+    case = intersection("intersection_turn_first")
+    names = {"1": "c", "2": "a", "3": "b"}
+    shift = (37.0, -12.0)
+    plan = case.solved(mode="fast")
+    moved = transformed(case, quarter_turns, shift, names).solved(mode="fast")
+    assert moved.objective == pytest.approx(plan.objective, rel=1e-6)
+    angle = quarter_turns * np.pi / 2
+    turn = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    by_name = {c.vehicle_id: c for c in moved.corridors}
+    for corridor in plan.corridors:
+        expected = corridor.pivots_m @ turn.T + shift
+        np.testing.assert_allclose(by_name[names[corridor.vehicle_id]].pivots_m, expected, atol=5e-3)
+
+
+def test_scaling_every_eta_changes_nothing_but_the_objective(
+    intersection: Callable[..., Any],
+) -> None:
+    case = intersection("intersection_turn_first")
+    participants = tuple(replace(p, priority=2.0 * p.priority) for p in case.scenario.participants)
+    doubled = replace(case, scenario=replace(case.scenario, participants=participants)).solved(mode="fast")
+    plain = case.solved(mode="fast")
+    assert doubled.objective == pytest.approx(2.0 * plain.objective, rel=1e-6)
+    for a, b in zip(plain.corridors, doubled.corridors, strict=True):
+        np.testing.assert_allclose(a.pivots_m, b.pivots_m, atol=1e-5)
+
+
+def test_another_vehicle_never_improves_the_optimum(crossing: Callable[..., Any]) -> None:
+    for seed in range(5):
+        case = crossing(seed, vehicles=3)
+        fewer = replace(
+            case,
+            scenario=replace(case.scenario, participants=case.scenario.participants[:2]),
+            guidance=case.guidance[:2],
+        ).solved()
+        alone = replace(
+            case,
+            scenario=replace(case.scenario, participants=case.scenario.participants[2:]),
+            guidance=case.guidance[2:],
+        ).solved()
+        together = case.solved()
+        if together.objective is not None:
+            assert together.objective >= fewer.bound + alone.bound
+
+
+def test_boxes_that_overlap_at_the_start_are_named(crossing: Callable[..., Any]) -> None:
+    case = crossing(0, vehicles=2)
+    first, second = case.scenario.participants
+    twin = replace(second, start=replace(first.start, x_m=first.start.x_m + 1.0))
+    scenario = replace(case.scenario, participants=(first, twin))
+    solved = replace(case, scenario=scenario).solved()
+    assert solved.status is SolveStatus.INFEASIBLE
+    assert "1 and 2 cannot be separated in time unit 0" in solved.reason
+
+
+def test_a_map_without_room_is_named(crossing: Callable[..., Any]) -> None:
+    case = crossing(0, vehicles=1)
+    start = case.scenario.participants[0].start
+    bounds = (start.x_m - 1.0, start.x_m + 1.0, start.y_m - 1.0, start.y_m + 1.0)
+    solved = replace(case, scenario=replace(case.scenario, bounds_m=bounds)).solved()
+    assert solved.status is SolveStatus.INFEASIBLE
+    assert "no room" in solved.reason
+
+
+def test_a_spent_tree_budget_leaves_the_proof_to_find_the_corridors(intersection: Callable[..., Any]) -> None:
+    case = intersection("intersection_turn_first")
+    solved = case.solved(tree_node_budget=2)
+    assert solved.status in (SolveStatus.OPTIMAL, SolveStatus.FEASIBLE)
+    assert solved.objective == pytest.approx(case.solved().objective, rel=5e-3)
+
+
+def test_the_same_input_gives_the_same_bits(intersection: Callable[..., Any]) -> None:
+    first, second = (intersection("intersection_turn_first").solved() for _ in range(2))
+    for a, b in zip(first.corridors, second.corridors, strict=True):
+        assert a.cubes_m.tobytes() == b.cubes_m.tobytes()
+        assert a.pivots_m.tobytes() == b.pivots_m.tobytes()
+    assert [r.nodes for r in first.records] == [r.nodes for r in second.records]
+
+
+def test_the_printed_formulation_stays_available(intersection: Callable[..., Any]) -> None:
+    solved = intersection("intersection_turn_first").solved(formulation="paper")
+    assert solved.status is SolveStatus.OPTIMAL
+    for first, second in combinations(solved.corridors, 2):
+        a, b = first.cubes_m, second.cubes_m
+        apart = np.max([a[:, 0] - b[:, 1], b[:, 0] - a[:, 1], a[:, 2] - b[:, 3], b[:, 2] - a[:, 3]], axis=0)
+        assert apart.min() >= 0.3 - 1e-6
