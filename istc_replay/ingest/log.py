@@ -15,7 +15,7 @@ from istc_replay.ingest.istc import SceneReader, VehicleStateReader
 from istc_replay.ingest.odometry import OdometryReader
 from istc_replay.ingest.osi import OsiReader
 from istc_replay.ingest.problems import Problems, quoted
-from istc_replay.ingest.records import Channel, Message
+from istc_replay.ingest.records import Channel, Message, Schema
 from istc_replay.ingest.scene import SceneParts
 from istc_replay.ingest.table import check_times, fill_speeds, sort_states, to_centres, wrap_headings
 from istc_replay.ingest.walk import LogFile, open_log
@@ -24,6 +24,7 @@ from istc_replay.ingest.walk import LogFile, open_log
 _STATES_FLOOR = 1_000_000
 #: OSI descriptors that are built for one log.
 _SCHEMAS_LIMIT = 16
+_UNUSABLE = "its schema cannot be used"
 
 
 def read_log(path: Path, config: Config | None = None) -> Log:
@@ -63,7 +64,7 @@ class _Reading:
         self._parts = SceneParts()
         self._formats: dict[Channel, Format | None] = {}
         self._readers: dict[Channel, Reader | None] = {}
-        self._osi: dict[int, OsiReader] = {}
+        self._osi: dict[int, OsiReader | None] = {}
 
     def log(self, path: str) -> Log:
         file = self._file
@@ -111,7 +112,7 @@ class _Reading:
             self._readers[channel] = self._reader(channel)
         reader = self._readers[channel]
         if reader is None:
-            raise PayloadError("its schema cannot be used", "schema")
+            raise PayloadError(_UNUSABLE, "schema")
         if len(message.data) > PAYLOAD_LIMIT:
             raise PayloadError(
                 f"a payload of {len(message.data)} bytes is above the limit of {PAYLOAD_LIMIT}"
@@ -130,13 +131,20 @@ class _Reading:
             return VehicleStateReader(vehicle_id, self._problems)
         if format_.family == "odometry":
             return OdometryReader(channel.topic, channel.schema, vehicle_id, self._problems)
-        # Channels share a schema, and building one takes time and memory.
-        key = id(channel.schema)
+        return self._osi_reader(channel.schema)
+
+    def _osi_reader(self, schema: Schema) -> OsiReader:
+        # Many channels can share a schema: it is built once, or fails once.
+        key = id(schema)
         if key not in self._osi:
             if len(self._osi) >= _SCHEMAS_LIMIT:
                 raise PayloadError(f"the log has more than {_SCHEMAS_LIMIT} OSI schemas", "schema")
-            self._osi[key] = OsiReader(channel.schema, self._parts, self._problems)
-        return self._osi[key]
+            self._osi[key] = None
+            self._osi[key] = OsiReader(schema, self._parts, self._problems)
+        reader = self._osi[key]
+        if reader is None:
+            raise PayloadError(_UNUSABLE, "schema")
+        return reader
 
     def _table(self, columns: StateColumns) -> pl.DataFrame:
         states = columns.table()

@@ -35,6 +35,8 @@ _TWIST = 7 + 36
 _GENERIC_FRAMES = {"", "base_link", "base_footprint", "base", "body", "ego", "rear_axle"}
 #: A quaternion's norm may differ this much from 1.
 _NORM_TOLERANCE = 1e-3
+#: Longest message definition that is compared [bytes]; the known one has 4 kB with all its comments.
+_DEFINITION_LIMIT = 2**16
 
 
 class OdometryReader:
@@ -107,6 +109,8 @@ def _string(data: bytes, position: int, order: str) -> tuple[str, int]:
 
 def _is_known(schema: bytes) -> bool:
     """Tell whether a message definition has the known layout; an empty one says nothing against it."""
+    if len(schema) > _DEFINITION_LIMIT:
+        return False
     fields: dict[str, list[str]] = {}
     current = fields.setdefault("Odometry", [])
     for line in schema.decode("utf-8", "replace").splitlines():

@@ -96,7 +96,7 @@ class OsiReader:
         base = standing.base
         numbers = (base.position.x, base.position.y, base.orientation.yaw)
         size = (base.dimension.length, base.dimension.width)
-        if _enum_name(standing.stationary_object_classification, "type") in _NOT_IN_THE_WAY:
+        if _enum_name(standing.classification, "type") in _NOT_IN_THE_WAY:
             return
         if not all(map(math.isfinite, (*numbers, *size))) or min(size) <= 0.0:
             detail = (

@@ -38,10 +38,10 @@ class Problems:
         if len(told) < _TOLD and not (told and told[-1].detail == detail):
             told.append(Problem(code, detail, offset))
 
-    def lose(self, code: str, detail: str, offset: int | None = None) -> None:
+    def lose(self, code: str, detail: str, offset: int | None = None, kind: str = "") -> None:
         """Tell a fault for which a part of the log is missing."""
         self.lost = True
-        self.add(code, detail, offset)
+        self.add(code, detail, offset, kind)
 
     def found(self) -> tuple[Problem, ...]:
         """Return the problems in the order in which their kinds were first met."""

@@ -190,8 +190,8 @@ class LogFile:
         parts = [(s.messages, s.attachments, s.metadata, s.chunks) for s in self._statistics.values()]
         for name, count, stated in zip(names, found, map(sum, zip(*parts, strict=True)), strict=True):
             if count != stated:
-                tell = self._problems.lose if stated > count else self._problems.add
-                tell("statistics", f"the summary states {stated} {name}, {count} were found")
+                detail = f"the summary states {stated} {name}, {count} were found"
+                self._problems.lose("statistics", detail)
 
     # --- the walk ----------------------------------------------------------------------------
 
@@ -293,10 +293,11 @@ class LogFile:
                 raise MalformedRecordError("a chunk ends inside the head of a record")
             opcode, length = RECORD.unpack_from(data, position)
             position = start + length
-            if position > size:
-                raise MalformedRecordError(
-                    f"a record of {length} bytes where its chunk has {size - start} left"
+            if position > size or not opcode:
+                detail = (
+                    f"a record of kind {opcode} and {length} bytes where its chunk has {size - start} left"
                 )
+                raise MalformedRecordError(detail)
             if opcode == Opcode.MESSAGE:
                 message = self._message(data, start, position, offset)
                 if message is not None:
