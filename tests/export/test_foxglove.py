@@ -7,6 +7,7 @@ import io
 import math
 from collections import defaultdict
 from collections.abc import Iterable
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -208,6 +209,24 @@ def test_at_every_instant_just_what_is_there_is_shown(
         still = {"lane/0", "lane/1", "standing/block"}
         assert names - still == expected_at(synthetic_result, time_ns)
         assert still <= names
+
+
+def test_no_vehicle_outlives_its_frame(shown: Messages) -> None:
+    frames = shown["/istc/scene"]
+    for (time_ns, scene), (next_ns, _) in pairwise(frames):
+        cars = [e for e in scene.entities if e.id.startswith(("recorded/", "planned/"))]
+        assert cars
+        assert all(time_ns < ns(e.timestamp) + ns(e.lifetime) <= next_ns for e in cars)
+
+
+def test_every_knot_has_its_frame_among_crowded_recorded_instants(synthetic_plan: Plan) -> None:
+    log, (plan,) = synthetic_plan
+    window = dataclasses.replace(plan.scenario.window, start_ns=plan.scenario.window.start_ns + 20_000_000)
+    plan = dataclasses.replace(plan, scenario=dataclasses.replace(plan.scenario, window=window))
+    crowded = log.states.with_columns(pl.col("time_ns") + 19_000_000)
+    frames = {time_ns for time_ns, _ in made(dataclasses.replace(log, states=crowded), [plan])["/istc/scene"]}
+    assert {window.start_ns + i * S // 5 for i in range(31)} <= frames
+    assert len(frames) < 100
 
 
 def test_nothing_that_moved_lingers_after_the_end(shown: Messages) -> None:

@@ -168,6 +168,11 @@ def test_another_process_writes_the_same_bytes(
     assert len(digests) == 1
 
 
+def test_the_order_of_provenance_does_not_matter(synthetic_plan: Plan) -> None:
+    one = result_bytes(*synthetic_plan, [], {}, "", {"a": "1", "b": "2"})
+    assert one == result_bytes(*synthetic_plan, [], {}, "", {"b": "2", "a": "1"})
+
+
 NASTY = (
     "../x",
     "..",

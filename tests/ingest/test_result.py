@@ -446,6 +446,13 @@ def test_a_summary_of_something_else_is_left_alone(folder: Path, foreign: str) -
     result = load_result_folder(folder)
     assert result.solves["wall_s"].null_count() == 5
     assert "stages" not in result.summary
+    assert result.summary["totals"]["windows"] == 1
+
+
+def test_a_summary_of_another_run_is_left_alone(folder: Path) -> None:
+    summary = json.loads((folder / "summary.json").read_text())
+    (folder / "summary.json").write_text(json.dumps({**summary, "config_sha256": "2" * 64}))
+    assert load_result_folder(folder).solves["wall_s"].null_count() == 5
 
 
 @pytest.mark.parametrize("times", [[], [1.0] * 5, "x", [{"wall_s": "soon"}] * 5])
