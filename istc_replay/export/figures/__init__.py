@@ -24,6 +24,9 @@ __all__ = ["Format", "WindowScene", "draw_figures", "draw_scene", "figure_bytes"
 
 Format = Literal["svg", "png", "pdf"]
 
+#: Planned boxes are measured this often: their knots are too far apart.
+_PLANNED_STEP_S = 0.02
+
 #: Without dates and versions, so that the same picture is the same bytes.
 _METADATA: dict[str, dict[str, Any]] = {
     "svg": {"Date": None, "Creator": None, "Format": None, "Type": None},
@@ -60,10 +63,10 @@ def draw_figures(result: Result, window: int) -> dict[str, Figure]:
 def draw_scene(scene: WindowScene, own_pages: int | None = None) -> dict[str, Figure]:
     """Draw the pictures of a gathered window, with at most `own_pages` pages of own corridors."""
     figures: dict[str, Figure] = {}
-    planned = closest_pair(scene, scene.planned)
+    planned = closest_pair(scene.planned, _PLANNED_STEP_S)
     alike = {name: track for name, track in scene.recorded.items() if name in scene.planned}
     # The same vehicles are compared; without a plan, all that were recorded.
-    recorded = closest_pair(scene, alike or scene.recorded)
+    recorded = closest_pair(alike or scene.recorded)
     with drawing_style():
         if scene.corridors:
             figures["corridors"] = draw_all_corridors(scene)

@@ -8,10 +8,9 @@ import numpy as np
 
 from istc_replay.audit.boxes import box_gap
 from istc_replay.datatypes import FloatArray
-from istc_replay.export.figures.tracks import Track, WindowScene
+from istc_replay.export.figures.tracks import Track
 
-#: Step of the curves [s]; a curve has at most this many points.
-_STEP_S = 0.05
+#: A curve has at most this many points.
 _POINTS = 1000
 
 
@@ -31,13 +30,18 @@ class ClosestPair:
     place_m: tuple[float, float]
 
 
-def closest_pair(scene: WindowScene, tracks: dict[str, Track]) -> ClosestPair | None:
-    """Follow the closest pair of boxes through the window; None where no two vehicles ever meet in time."""
+def closest_pair(tracks: dict[str, Track], step_s: float | None = None) -> ClosestPair | None:
+    """Follow the closest pair of boxes; None where no two vehicles are ever there at once.
+
+    At the instants of all samples, as the audit does with recordings, or every `step_s`.
+    """
     if len(tracks) < 2:
         return None
     names = list(tracks)
-    steps = int(np.clip(np.ceil(scene.duration_s / _STEP_S), 1, _POINTS))
-    times_s = np.linspace(0.0, scene.duration_s, steps + 1)
+    times_s = np.unique(np.concatenate([track.times_s for track in tracks.values()]))
+    if step_s is not None:
+        times_s = np.arange(times_s[0], times_s[-1] + 0.5 * step_s, step_s)
+    times_s = times_s[:: len(times_s) // _POINTS + 1]
     poses = np.stack([tracks[name].at(times_s) for name in names])  # (V, T, 3)
     sizes = np.array([(tracks[name].length_m, tracks[name].width_m) for name in names])
     rows = [_closest(poses[:, step], sizes) for step in range(len(times_s))]

@@ -147,7 +147,7 @@ def _set_view(axes: Axes, view: View) -> None:
 
 def _draw_ground(axes: Axes, scene: WindowScene) -> None:
     if len(scene.lanes_m):
-        axes.plot(*scene.lanes_m.T, color=MUTED, linewidth=0.7, zorder=0.6)
+        axes.plot(*scene.lanes_m.T, color=GRID, linewidth=3.0, zorder=0.6)
     if len(scene.standing_m):
         axes.add_collection(
             PolyCollection(
@@ -176,18 +176,23 @@ def _draw_path(axes: Axes, scene: WindowScene, name: str, track: Track, look: di
         *start[:2], style.marker, color=style.colour, markersize=5, markeredgecolor=INK, markeredgewidth=0.5
     )
     if len(scene.recorded) <= NAMED:
-        # Behind the start, where nothing has been driven.
-        aside = (-11.0 * np.cos(start[2]), -11.0 * np.sin(start[2]))
-        axes.annotate(
-            style.label,
-            start[:2],
-            xytext=aside,
-            textcoords="offset points",
-            fontsize=7,
-            ha="center" if abs(aside[0]) < 6.0 else ("right" if aside[0] < 0.0 else "left"),
-            va="center",
-            annotation_clip=True,
-        )
+        _name_start(axes, start, style.label)
+
+
+def _name_start(axes: Axes, start: FloatArray, label: str) -> None:
+    """Write a name behind a start or above it, towards the middle of the picture."""
+    behind = -np.sign(np.sin(start[2])) if abs(np.sin(start[2])) > 0.5 else 1.0
+    inward = start[0] < sum(axes.get_xlim()) / 2.0
+    axes.annotate(
+        label,
+        (start[0], start[1]),
+        xytext=(-4.0 if inward else 4.0, 10.0 * behind),
+        textcoords="offset points",
+        fontsize=7,
+        ha="left" if inward else "right",
+        va="center",
+        annotation_clip=True,
+    )
 
 
 def _seconds(track: Track) -> FloatArray:
@@ -226,7 +231,7 @@ def _draw_boxes(
             style = scene.styles[name]
             boxes.append(box)
             colours.append(style.colour)
-            if filled:
+            if filled or not scene.has_plan:
                 axes.plot(*box.mean(axis=0), style.marker, color=INK, markersize=3, zorder=4, clip_on=True)
     if not boxes:
         return
@@ -253,10 +258,11 @@ def _draw_boxes(
 
 def _draw_cubes(axes: Axes, scene: WindowScene, time_s: float) -> None:
     outlines, colours = [], []
-    for name, shape in scene.corridors.items():
+    shapes = [(scene.styles[name].colour, shape) for name, shape in scene.corridors.items()]
+    for colour, shape in shapes + [(MUTED, shape) for shape in scene.obstacles]:
         now = (shape.spans_s[:, 0] <= time_s + 1e-9) & (time_s - 1e-9 <= shape.spans_s[:, 1])
         outlines += list(shape.outlines_m[now])
-        colours += [scene.styles[name].colour] * int(now.sum())
+        colours += [colour] * int(now.sum())
     if outlines:
         fills = [to_rgba(colour, 0.1) for colour in colours]
         axes.add_collection(

@@ -30,7 +30,7 @@ _LIMIT: dict[str, Any] = {"linestyle": (0, (7, 2, 1.5, 2)), "linewidth": 0.9, "c
 def draw_speed_acceleration(scene: WindowScene) -> Figure:
     """Draw speed and acceleration over time, recorded and planned, as the paper's Fig. 8."""
     figure = new_figure(9.9, 5.4)
-    axes = [figure.add_axes((0.065, bottom, 0.75, 0.415)) for bottom in (0.555, 0.085)]
+    axes = [figure.add_axes((0.065, bottom, 0.725, 0.415)) for bottom in (0.555, 0.085)]
     for target, quantity in zip(axes, ("speeds_mps", "accelerations_mps2"), strict=True):
         for name, track in scene.recorded.items():
             _draw_line(target, scene, name, track, quantity, _RECORDED, planned=False)
@@ -46,12 +46,12 @@ def draw_speed_acceleration(scene: WindowScene) -> Figure:
         _draw_limits(axes[1], (-limits.deceleration_max_mps2, limits.acceleration_max_mps2))
     names = list(scene.recorded | scene.planned)
     vehicle_legend(
-        figure, [scene.styles[name] for name in names], loc="upper left", bbox_to_anchor=(0.825, 0.99)
+        figure, [scene.styles[name] for name in names], loc="upper left", bbox_to_anchor=(0.795, 0.99)
     )
     meaning = [("recorded", _RECORDED)]
     if scene.planned:
         meaning = [("planned", _PLANNED), ("recorded", _RECORDED), ("limit of the plan", _LIMIT)]
-    line_legend(figure, meaning, loc="lower left", bbox_to_anchor=(0.825, 0.06))
+    line_legend(figure, meaning, loc="lower left", bbox_to_anchor=(0.795, 0.06))
     return figure
 
 
@@ -129,4 +129,4 @@ def draw_separation(scene: WindowScene, recorded: ClosestPair | None, planned: C
 def _least_text(scene: WindowScene, name: str, pair: ClosestPair) -> str:
     first, second = (scene.styles[vehicle].label for vehicle in pair.pair)
     gap = f"{pair.least_m:.2f}".replace("-", "\u2212")
-    return f"{name}: least {gap} m at {pair.time_s:.1f} s, {first} and {second}"
+    return f"{name}: least {gap} m at {pair.time_s:.2f} s, {first} and {second}"

@@ -16,6 +16,7 @@ from mpl_toolkits.mplot3d.art3d import Line3DCollection, Poly3DCollection
 
 from istc_replay.datatypes import FloatArray
 from istc_replay.export.figures.style import (
+    GRID,
     INK,
     MUTED,
     NAMED,
@@ -55,13 +56,13 @@ def draw_all_corridors(scene: WindowScene) -> Figure:
     for name, shape in scene.corridors.items():
         _draw_pivots(axes, shape, scene.styles[name], named=len(scene.corridors) <= NAMED)
     shown = [scene.styles[name] for name in scene.corridors]
-    vehicle_legend(figure, shown, loc="upper left", bbox_to_anchor=(0.83, 0.95))
+    vehicle_legend(figure, shown, loc="upper right", bbox_to_anchor=(1.0, 0.96))
     meaning: list[tuple[str, dict[str, Any]]] = [("pivotal points", {"marker": "o", "markersize": 4})]
     if len(scene.lanes_m):
-        meaning.append(("lanes (on the floor)", {"color": MUTED, "linewidth": 0.7}))
+        meaning.append(("lanes (on the floor)", {"color": GRID, "linewidth": 2.5}))
     if scene.obstacles:
         meaning.append(("obstacles", {"color": MUTED, "linewidth": 5, "alpha": 0.6}))
-    line_legend(figure, meaning, loc="lower left", bbox_to_anchor=(0.80, 0.03))
+    line_legend(figure, meaning, loc="lower right", bbox_to_anchor=(1.0, 0.03))
     origin_note(figure, scene.origin_m, at_top=False)
     return figure
 
@@ -74,7 +75,7 @@ def draw_own_corridors(scene: WindowScene, page: int = 0) -> Figure:
     names = list(scene.corridors)[page * PANELS : (page + 1) * PANELS]
     columns = min(_COLUMNS, len(names))
     rows = ceil(len(names) / columns)
-    height_in = 3.3 * rows + 0.4
+    height_in = 3.05 * rows + 0.4
     figure = new_figure(9.9, height_in)
     foot = 0.4 / height_in
     for index, name in enumerate(names):
@@ -207,7 +208,7 @@ def _draw_floor(axes: Any, lanes_m: FloatArray) -> None:
     outside = ~((x >= x_min) & (x <= x_max) & (y >= y_min) & (y <= y_max))
     shown = lanes_m.copy()
     shown[outside] = np.nan
-    axes.plot(*shown.T, np.zeros(len(shown)), color=MUTED, linewidth=0.7, zorder=0.5)
+    axes.plot(*shown.T, np.zeros(len(shown)), color=GRID, linewidth=2.5, zorder=0.5)
 
 
 def _draw_prisms(

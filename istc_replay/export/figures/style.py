@@ -24,7 +24,7 @@ INK, MUTED, GRID, PAPER = "#1e2329", "#69707a", "#d3d7dc", "#fefefe"
 CONTACT = "#c8321f"
 
 MARKERS = "os^Dvp<>Ph"
-LABEL_CHARACTERS = 22
+LABEL_CHARACTERS = 20
 LEGEND_ENTRIES = 12
 #: Up to this many vehicles are named beside their paths, more in the legend alone.
 NAMED = 8
@@ -94,9 +94,14 @@ def _settings() -> Any:
 def vehicle_styles(vehicle_ids: Iterable[str]) -> dict[str, VehicleStyle]:
     """Give each vehicle of a result its colour, marker and drawable label."""
     return {
-        vehicle_id: VehicleStyle(hex_colour(colour), MARKERS[index % len(MARKERS)], drawable(vehicle_id))
+        vehicle_id: VehicleStyle(hex_colour(colour), MARKERS[index % len(MARKERS)], _label(vehicle_id))
         for index, (vehicle_id, colour) in enumerate(vehicle_colours(vehicle_ids).items())
     }
+
+
+def _label(vehicle_id: str) -> str:
+    # A bare number could be read as a second or a coordinate.
+    return drawable(f"vehicle {vehicle_id}" if vehicle_id.isdigit() else vehicle_id)
 
 
 def hex_colour(colour: tuple[int, int, int]) -> str:

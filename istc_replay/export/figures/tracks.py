@@ -19,6 +19,7 @@ from istc_replay.units import NS_PER_S
 PLANNED = (WindowStatus.CERTIFIED, WindowStatus.NOT_CERTIFIED)
 #: Past this distance from the origin of the map a coordinate cannot be a place [m].
 _FAR_M = 1e8
+_WALLS = ("x_min_m", "x_max_m", "y_min_m", "y_max_m")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,11 +125,14 @@ def window_scene(result: Result, window: int) -> WindowScene:
     entry = window_summary(result, window)
     start_ns, end_ns = int(entry["start_ns"]), int(entry["end_ns"])
     has_plan = entry.get("status") in PLANNED
-    in_span = pl.col("time_ns").is_between(start_ns, end_ns)
+    # A recorded state on a boundary, or in windows that overlap, carries the later window's number.
+    shown = pl.col("source").eq("recorded") | pl.col("window").eq(window)
     states = result.states.filter(
-        in_span
-        & (pl.col("window").eq(window) | (pl.col("window").is_null() & pl.col("source").eq("recorded")))
-    ).filter(pl.col("x_m").abs() < _FAR_M, pl.col("y_m").abs() < _FAR_M)
+        pl.col("time_ns").is_between(start_ns, end_ns),
+        shown,
+        pl.col("x_m").abs() < _FAR_M,
+        pl.col("y_m").abs() < _FAR_M,
+    )
     origin_m = _origin(states)
     try:
         config = parse_config(result.config_toml)
@@ -141,7 +145,7 @@ def window_scene(result: Result, window: int) -> WindowScene:
     return WindowScene(
         window=entry,
         has_plan=has_plan,
-        duration_s=(end_ns - start_ns) / NS_PER_S,
+        duration_s=max((end_ns - start_ns) / NS_PER_S, 1e-3),
         unit_s=float(entry.get("unit_s") or config.window.unit_s),
         origin_m=origin_m,
         styles=vehicle_styles(result.states["vehicle_id"].unique().drop_nulls()),
@@ -198,7 +202,7 @@ def _corridors(
     table: pl.DataFrame, window: int, start_ns: int, origin_m: tuple[float, float]
 ) -> dict[str, CorridorShape]:
     shapes = {}
-    rows = table.filter(pl.col("window") == window).sort("k")
+    rows = table.filter(pl.col("window") == window, *(pl.col(wall).is_finite() for wall in _WALLS)).sort("k")
     for (name,), part in rows.partition_by("vehicle_id", as_dict=True).items():
         frame = _frame(part)
         pivots, references = (_points(part, frame, kind) - origin_m for kind in ("pivot", "reference"))
@@ -213,7 +217,8 @@ def _obstacles(
     table: pl.DataFrame, window: int, start_ns: int, origin_m: tuple[float, float]
 ) -> tuple[CorridorShape, ...]:
     nothing = np.empty((0, 2))
-    rows = table.filter((pl.col("window") == window) & pl.col("x_min_m").is_finite()).sort("obstacle_id", "k")
+    sound = (pl.col(wall).is_finite() for wall in _WALLS)
+    rows = table.filter(pl.col("window") == window, *sound).sort("obstacle_id", "k")
     return tuple(
         CorridorShape(
             str(name),
@@ -243,7 +248,7 @@ def _spans(rows: pl.DataFrame, start_ns: int) -> FloatArray:
 
 
 def _outlines(rows: pl.DataFrame, frame: Frame) -> FloatArray:
-    x_min, x_max, y_min, y_max = _column(rows, "x_min_m", "x_max_m", "y_min_m", "y_max_m").T
+    x_min, x_max, y_min, y_max = _column(rows, *_WALLS).T
     corners = np.stack(
         [
             np.stack([x_min, y_min], axis=-1),

@@ -42,7 +42,7 @@ def head(title: str, summary: dict[str, Any]) -> Html:
             element("h1", element("bdi", visible(shortened(title, 200)))),
             element(
                 "dl",
-                _fact("Log", prose(source.get("path", NOTHING)), class_="long"),
+                _fact("Log", prose(source.get("path", NOTHING)), class_="row"),
                 _fact("SHA-256", _hash(source.get("sha256"))),
                 _fact("The log is", element("span", state, class_="good" if complete else "bad")),
                 _fact("Problems in the log", str(problems)),

@@ -11,6 +11,8 @@ from typing import Any
 _NAME_CHARACTERS = 40
 _TITLE_CHARACTERS = 240
 _TEXT_CHARACTERS = 600
+#: Up to this length a name is never broken.
+_WORD_CHARACTERS = 24
 _VOID = frozenset({"meta", "br"})
 
 NOTHING = "–"
@@ -88,7 +90,8 @@ def name(text: Any) -> Html:
     """An untrusted name: isolated from the text around it, short, its title longer."""
     whole = visible(str(text)[:_TITLE_CHARACTERS]) + ("…" if len(str(text)) > _TITLE_CHARACTERS else "")
     short = shortened(visible(shortened(str(text))), 2 * _NAME_CHARACTERS)
-    return element("bdi", short, class_="name", title=None if short == whole else whole)
+    kind = "name long" if len(short) > _WORD_CHARACTERS else "name"
+    return element("bdi", short, class_=kind, title=None if short == whole else whole)
 
 
 def names(texts: Iterable[Any], most: int = 12) -> Html:
@@ -104,7 +107,7 @@ def names(texts: Iterable[Any], most: int = 12) -> Html:
 
 def prose(text: Any) -> Html:
     """An untrusted sentence: isolated and at most a paragraph long."""
-    return element("bdi", visible(shortened(str(text), _TEXT_CHARACTERS)))
+    return element("bdi", visible(shortened(str(text), _TEXT_CHARACTERS)), class_="long")
 
 
 def number(value: Any, digits: int = 2, unit: str = "") -> str:

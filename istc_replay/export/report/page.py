@@ -33,15 +33,17 @@ h3{{font-size:1.05rem;margin:1.6rem 0 .4rem}}
 p{{margin:.4rem 0}}
 a{{color:var(--link)}}
 dl{{display:grid;grid-template-columns:repeat(auto-fill,minmax(13rem,1fr));gap:.6rem 1.5rem;margin:.75rem 0}}
-dl .long{{grid-column:1/-1}}
+dl .row{{grid-column:1/-1}}
 dt{{font-size:.8rem;color:var(--muted)}}
 dd{{margin:0}}
-.name{{white-space:pre-wrap}}
+.name{{white-space:pre-wrap;overflow-wrap:normal}}
+.long{{overflow-wrap:anywhere}}
 .hash{{font-family:ui-monospace,monospace;font-size:.92em}}
 .wide{{overflow-x:auto}}
 table{{border-collapse:collapse;width:100%;margin:.5rem 0 1rem;font-size:.875rem;line-height:1.4}}
 caption{{text-align:left;color:var(--muted);padding-bottom:.3rem}}
-th,td{{text-align:left;vertical-align:top;padding:.25rem .75rem .25rem 0;border-bottom:1px solid var(--grid)}}
+th,td{{overflow-wrap:break-word;text-align:left;vertical-align:top;
+padding:.25rem .75rem .25rem 0;border-bottom:1px solid var(--grid)}}
 thead th{{color:var(--muted);font-weight:600;vertical-align:bottom;white-space:nowrap;overflow-wrap:normal}}
 tbody th{{font-weight:600}}
 .n{{text-align:right;font-variant-numeric:tabular-nums;white-space:nowrap}}
@@ -53,7 +55,8 @@ margin:.75rem 0 1rem;border-radius:.25rem}}
 .good>p:first-child,td.good,span.good{{color:var(--good)}}
 .bad>p:first-child,td.bad,span.bad{{color:var(--bad)}}
 .open>p:first-child,td.open,span.open{{color:var(--open)}}
-td span.good,td span.bad,td span.open{{font-weight:600;white-space:nowrap}}
+td span.good,td span.bad,td span.open{{font-weight:600}}
+td span{{white-space:nowrap}}
 .swatch{{display:inline-block;width:.75em;height:.75em;margin-right:.4em;border:1px solid var(--muted)}}
 figure{{margin:1.25rem 0;break-inside:avoid}}
 figure svg{{display:block;width:100%;height:auto;font-family:system-ui,sans-serif}}

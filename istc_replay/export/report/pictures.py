@@ -30,16 +30,16 @@ _CAPTIONS = {
     "ones planned, with the corridor-cubes of that instant around them.",
     "speed_acceleration": "Speed and acceleration, recorded and planned. Limits far from all lines are not "
     "drawn.",
-    "separation": "Gap between the two closest boxes of the planned vehicles at each instant, sampled every "
-    "0.05 s; below zero they overlap. Gaps far above the least are cut off.",
+    "separation": "Gap between the two closest boxes of the planned vehicles: recorded at the instants of "
+    "the recording, planned every 0.02 s. Below zero they overlap; gaps far above the least are cut off.",
 }
 _RECORDED_CAPTIONS = {
     "top_down": "Trajectories from above as recorded. Ticks mark whole seconds from the window's start. "
     "Boxes stand at the instant at which two vehicles are closest; the ring marks the place.",
     "filmstrip": "Instants about the closest approach of the recording.",
     "speed_acceleration": "Speed and acceleration as recorded.",
-    "separation": "Gap between the two closest boxes of all recorded vehicles at each instant, sampled every "
-    "0.05 s; below zero they overlap. Gaps far above the least are cut off.",
+    "separation": "Gap between the two closest boxes of all recorded vehicles at the instants of the "
+    "recording. Below zero they overlap; gaps far above the least are cut off.",
 }
 _ORDER = ("corridors", "own_corridors", "top_down", "filmstrip", "speed_acceleration", "separation")
 

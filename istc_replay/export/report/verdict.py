@@ -12,6 +12,7 @@ from istc_replay.units import NS_PER_S
 
 #: What each check says when it passes.
 CHECKS = {
+    "complete": "nothing is missing from the plan",
     "cubes_disjoint": "in every time unit, corridor-cubes of different vehicles keep their gap",
     "obstacles_clear": "in every time unit, corridor-cubes keep their gap from obstacles",
     "cubes_overlap": "consecutive cubes of each corridor overlap",
@@ -59,20 +60,17 @@ def verdict_of(entry: dict[str, Any], certificates: Sequence[dict[str, Any]], se
         return Verdict(tone, short, join([words]), {}, has_plan=False)
     failed = [row["check"] for row in certificates if row["verdict"] == "fail"]
     unjudged = [row["check"] for row in certificates if row["verdict"] == "inconclusive"]
-    certified = number(entry.get("vehicles_certified"))
-    counts = (
-        f"{certified} of {number(entry.get('vehicles_plannable'))} plannable vehicles are certified, "
-        f"{certified} of {number(entry.get('vehicles_present'))} present."
-    )
     planned = _planned(entry, certificates, separation_m)
     if status == WindowStatus.CERTIFIED and not failed and not unjudged and certificates:
-        return Verdict("good", "✓ certified", join([f"✓ Certified: {counts}"]), planned, has_plan=True)
-    faults = [join(["fails: ", names(failed)])] if failed else []
-    faults += [join(["cannot be judged: ", names(unjudged)])] if unjudged else []
+        counts = [number(entry.get(f"vehicles_{which}")) for which in ("certified", "plannable", "present")]
+        words = "✓ Certified: {} of {} plannable vehicles have plans that pass every check; {} are present."
+        return Verdict("good", "✓ certified", join([words.format(*counts)]), planned, has_plan=True)
+    faults = [join(["checks that fail: ", names(failed)])] if failed else []
+    faults += [join(["checks that cannot be judged: ", names(unjudged)])] if unjudged else []
     faults += [] if certificates else [join(["no check was made"])]
     said = ", although its status says so" if status == WindowStatus.CERTIFIED else ""
     sentence = join(
-        [f"✗ Not certified{said}: there is a plan, but it is not proven. ", join(faults, "; "), "."]
+        [f"✗ Not certified{said}: there is a plan, but it is not proven; ", join(faults, "; "), "."]
     )
     return Verdict("bad", "✗ not certified", sentence, planned, has_plan=True)
 
@@ -113,5 +111,6 @@ def least_text(least: dict[str, Any] | None) -> Html:
         return join(["not known; no two vehicles of known size are there at once"])
     overlap = " (their boxes overlap)" if gap_m < 0 else ""
     pair = least.get("pair") or []
-    when = f" at {number(least['time_s'], 1, 's')}" if least.get("time_s") is not None else ""
-    return join([f"{number(gap_m, 2, 'm')}{overlap}", ", " if pair else None, names(pair), when])
+    when = f" at {number(least['time_s'], 2, 's')}" if least.get("time_s") is not None else ""
+    whose = join([", vehicles ", names(pair)]) if pair else None
+    return join([f"{number(gap_m, 2, 'm')}{overlap}", whose, when])
