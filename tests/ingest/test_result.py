@@ -40,7 +40,7 @@ from istc_replay.datatypes import (
 )
 from istc_replay.errors import LogError
 from istc_replay.export.result_mcap import result_bytes, solve_times
-from istc_replay.ingest.result import load_result_folder, read_result, repeatable_summary
+from istc_replay.ingest.result import is_result, load_result_folder, read_result, repeatable_summary
 from istc_replay.states import (
     CERTIFICATES_SCHEMA,
     CORRIDORS_SCHEMA,
@@ -465,3 +465,10 @@ def test_times_that_do_not_fit_the_solves_are_not_used(folder: Path, times: Any)
 def test_a_result_without_a_summary_beside_it_is_read(folder: Path, synthetic_result: Result) -> None:
     (folder / "summary.json").unlink()
     assert_frame_equal(load_result_folder(folder).states, synthetic_result.states)
+
+
+def test_a_result_is_told_from_a_log(folder: Path) -> None:
+    (folder / "log.mcap").write_bytes(one_message("/scene", "Scene", b""))
+    assert is_result(folder)
+    assert is_result(folder / "result.mcap")
+    assert not is_result(folder / "log.mcap")
