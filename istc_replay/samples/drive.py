@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -91,8 +90,3 @@ def _states(drive: Drive, start_ns: int, duration_s: int) -> pl.DataFrame:
 def _rounded(values: FloatArray) -> FloatArray:
     # Adding zero turns -0.0 into 0.0.
     return np.round(values, RESOLUTION_DECIMALS) + 0.0
-
-
-def whole_seconds(seconds: float) -> int:
-    """Round up to whole seconds, forgiving rounding errors."""
-    return math.ceil(seconds - 1e-9)

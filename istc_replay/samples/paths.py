@@ -11,8 +11,8 @@ from numpy.typing import ArrayLike
 
 from istc_replay.datatypes import FloatArray, read_only
 
-#: Positions are integrated exactly to rounding over steps of this length.
-_STEP_M = 0.05
+#: Five Gauss nodes integrate a piece of this length exactly, up to rounding, where curvature is linear.
+_STEP_M = 0.5
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(5)
 
 
@@ -30,7 +30,7 @@ class Curve:
     """A plane curve given by its start and a curvature that is linear between break points.
 
     `breaks_m` (B,) are arc lengths, the first 0, ascending; `curvatures_1pm` (B,) hold there.
-    The curve goes straight on before and behind, with the curvature of its ends.
+    A curve whose curvature is zero at an end goes straight on there.
     """
 
     start: Pose
@@ -67,19 +67,21 @@ class Curve:
     def points(self, s_m: ArrayLike) -> FloatArray:
         """Points at arc lengths (S,), as (S, 2) [m]."""
         s = np.asarray(s_m, dtype=np.float64)
-        index = np.clip((s / _STEP_M).astype(int), 0, len(self._knots_m) - 1)
-        return np.asarray(self._knots_m[index] + self._moved(index * _STEP_M, s - index * _STEP_M))
+        knots_s, knots = self._knots
+        index = np.clip(np.searchsorted(knots_s, s, side="right") - 1, 0, len(knots_s) - 1)
+        return np.asarray(knots[index] + self._moved(knots_s[index], s - knots_s[index]))
 
     def poses(self, s_m: ArrayLike) -> FloatArray:
         """Poses at arc lengths (S,), as (S, 3): x, y, unwrapped heading [m, rad]."""
         return np.column_stack([self.points(s_m), self.heading(s_m)])
 
     @cached_property
-    def _knots_m(self) -> FloatArray:
-        count = math.ceil(self.length_m / _STEP_M)
-        steps = self._moved(np.arange(count) * _STEP_M, np.full(count, _STEP_M))
-        origin = np.array([[self.start.x_m, self.start.y_m]])
-        return read_only(np.vstack([origin, origin + np.cumsum(steps, axis=0)]), columns=2)
+    def _knots(self) -> tuple[FloatArray, FloatArray]:
+        """Arc lengths (N,) at the breaks and between them, and the points (N, 2) there."""
+        between = np.arange(_STEP_M, self.length_m, _STEP_M)
+        s = np.union1d(self.breaks_m, between)
+        moved = np.cumsum(self._moved(s[:-1], np.diff(s)), axis=0)
+        return s, np.vstack([np.zeros(2), moved]) + (self.start.x_m, self.start.y_m)
 
     def _moved(self, from_m: ArrayLike, by_m: ArrayLike) -> FloatArray:
         """Displacement (S, 2) over a piece of the curve, by Gauss-Legendre quadrature."""

@@ -2,16 +2,27 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from importlib import resources
 
-from istc_replay.errors import UsageError
-from istc_replay.samples.drive import RecordedScene
-from istc_replay.samples.intersection import intersection
+from istc_replay.datatypes import MapBounds, SceneObstacle, StaticScene, VehicleInfo
+from istc_replay.errors import ScenarioError, UsageError
+from istc_replay.samples.drive import Drive, RecordedScene, record_drives
+from istc_replay.samples.intersection import START_NS, intersection
+from istc_replay.samples.paths import Pace, Pose
+from istc_replay.samples.routes import find_route
+from istc_replay.samples.sceneform import Box, SceneFile, ScenePose, SceneVehicle, parse_scene
 
 #: Priority weights eta of Table II by vehicle.
 TURN_FIRST = {"1": 0.20, "2": 0.01, "3": 0.50}
 STRAIGHT_FIRST = {"1": 0.50, "2": 0.40, "3": 0.01}
+
+_STEERING_MAX_RAD = 0.6
+_DECELERATION_MPS2 = 2.0
+_STANDING_S = 3  # recorded after the last arrival
+_DURATION_MAX_S = 900
 
 
 @dataclass(frozen=True, slots=True)
@@ -44,6 +55,11 @@ SAMPLES: dict[str, Sample] = {
         "odometry",
         lambda: intersection("intersection_odometry", TURN_FIRST),
     ),
+    "dense_4": Sample(
+        "four vehicles cross a map of 50 m x 38 m from its sides, with no lanes",
+        "istc",
+        lambda: record(parse_scene(_packaged_scene("dense_4"), "dense_4")),
+    ),
 }
 
 
@@ -63,3 +79,68 @@ def find_sample(name: str) -> Sample:
     if name not in SAMPLES:
         raise UsageError(f"no sample is named {name!r}; there are {', '.join(SAMPLES)}")
     return SAMPLES[name]
+
+
+def record(scene: SceneFile) -> RecordedScene:
+    """Record a scene in which every vehicle drives its own shortest path and ignores the others.
+
+    Each drives at the scene's speed, brakes at 2 m/s^2 to stand at its goal, and stays.
+
+    Raises
+    ------
+    ScenarioError
+        If a vehicle has no path past the obstacles, or the recording would be too long.
+    """
+    drives = [_drive(scene, vehicle) for vehicle in scene.vehicles]
+    duration_s = math.ceil(max(drive.pace.arrival_s for drive in drives) - 1e-9) + _STANDING_S
+    if duration_s > _DURATION_MAX_S:
+        raise ScenarioError(
+            f"scene {scene.name}: the recording would last {duration_s} s, at most {_DURATION_MAX_S} s are "
+            "written; raise speed_mps or bring the goals nearer"
+        )
+    return record_drives(scene.name, _static_scene(scene), drives, START_NS, duration_s)
+
+
+def _packaged_scene(name: str) -> str:
+    return resources.files("istc_replay").joinpath(f"data/{name}.json").read_text(encoding="utf-8")
+
+
+def _drive(scene: SceneFile, vehicle: SceneVehicle) -> Drive:
+    car = scene.vehicle.dimensions
+    least_radius_m = car.wheelbase_m / math.tan(_STEERING_MAX_RAD)
+    if scene.vehicle.min_turn_radius_m is not None:
+        least_radius_m = max(least_radius_m, scene.vehicle.min_turn_radius_m)
+    start, goal = _pose(vehicle.start), _pose(vehicle.goal)
+    path = find_route(start, goal, car, least_radius_m, scene.map, scene.obstacles)
+    if path is None:
+        raise ScenarioError(
+            f"scene {scene.name}: vehicle {vehicle.id} finds no path to its goal within the map and past its "
+            f"{len(scene.obstacles)} obstacles; give start and goal more room, or move an obstacle"
+        )
+    # A path too short to brake on from full speed is driven more slowly.
+    speed = min(scene.speed_mps, math.sqrt(2.0 * _DECELERATION_MPS2 * path.length_m))
+    return Drive(vehicle.id, car, path, Pace(speed, path.length_m, _DECELERATION_MPS2))
+
+
+def _pose(pose: ScenePose) -> Pose:
+    return Pose(pose.x_m, pose.y_m, pose.heading_rad)
+
+
+def _static_scene(scene: SceneFile) -> StaticScene:
+    box, car = scene.map, scene.vehicle.dimensions
+    return StaticScene(
+        obstacles=tuple(_obstacle(index, box) for index, box in enumerate(scene.obstacles, start=1)),
+        bounds=MapBounds(box.x_min_m, box.x_max_m, box.y_min_m, box.y_max_m),
+        vehicles=tuple(VehicleInfo(vehicle.id, dimensions=car) for vehicle in scene.vehicles),
+    )
+
+
+def _obstacle(index: int, box: Box) -> SceneObstacle:
+    return SceneObstacle(
+        obstacle_id=f"obstacle_{index}",
+        x_m=(box.x_min_m + box.x_max_m) / 2.0,
+        y_m=(box.y_min_m + box.y_max_m) / 2.0,
+        heading_rad=0.0,
+        length_m=box.x_max_m - box.x_min_m,
+        width_m=box.y_max_m - box.y_min_m,
+    )
