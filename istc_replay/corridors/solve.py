@@ -22,8 +22,9 @@ if TYPE_CHECKING:
     from istc_replay.corridors.problem import CorridorProblem, Disjunction, Limits
     from istc_replay.datatypes import Guidance, Scenario
 
-#: Seeds of the first tangents where there is no incumbent yet [m from the reference].
-_COARSE_SEEDS_M = (-8.0, -4.0, -2.0, -1.0, -0.5, 0.5, 1.0, 2.0, 4.0, 8.0)
+#: Where the first tangents touch, from the incumbent [m]. Wide seeds close the gap in one round
+#: where close ones alone need three or more (docs/performance.md).
+_SEEDS_M = (-4.0, -2.0, -1.0, -0.3, 0.3, 1.0, 2.0, 4.0)
 #: CBC may leave this share of the wanted gap open in each round.
 _GAP_SHARE = 0.25
 #: A QP's optimum is taken as a bound less this share.
@@ -230,11 +231,14 @@ def _prove(search: _Search, config: CorridorsConfig, big_m: float | None) -> Non
 
 
 def _seed_tangents(milp: MilpModel, z: FloatArray | None) -> None:
-    reference = milp.problem.reference
-    centre = reference if z is None else z
+    """Tangents at the incumbent (or the reference), around it, and at the optimum without conflicts."""
+    centre = milp.problem.reference if z is None else z
     milp.add_tangents(centre)
-    for offset in _COARSE_SEEDS_M if z is None else (-1.0, -0.3, 0.3, 1.0):
+    for offset in _SEEDS_M:
         milp.add_tangents(centre + offset)
+    relaxed = polish(milp.problem, None)
+    if relaxed is not None:
+        milp.add_tangents(relaxed)
 
 
 def _relax(search: _Search) -> None:
