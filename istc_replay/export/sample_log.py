@@ -113,6 +113,6 @@ def _fields(record: Any) -> Row:
 
 _WRITERS: dict[str, Callable[[RecordedScene, io.BytesIO], None]] = {
     "istc": _write_istc,
-    "osi": lambda recorded, stream: write_osi(_instants(recorded), stream),
+    "osi": lambda recorded, stream: write_osi(_instants(recorded), recorded.scene.obstacles, stream),
     "odometry": lambda recorded, stream: write_odometry(_instants(recorded), stream),
 }

@@ -7,7 +7,7 @@ OSI's, so that any OSI reader takes the messages.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from functools import cache
 from typing import IO, Any
 
@@ -15,6 +15,7 @@ import google.protobuf
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from mcap.writer import Writer
 
+from istc_replay.datatypes import SceneObstacle
 from istc_replay.units import NS_PER_S
 
 _OSI_VERSION = (3, 8, 0)
@@ -38,6 +39,13 @@ _MESSAGES = {
         "acceleration 5 Vector3d",
         "orientation_rate 6 Orientation3d",
     ),
+    "BaseStationary": ("dimension 1 Dimension3d", "position 2 Vector3d", "orientation 3 Orientation3d"),
+    "StationaryObject": (
+        "id 1 Identifier",
+        "base 2 BaseStationary",
+        "classification 3 StationaryObject.Classification",
+    ),
+    "StationaryObject.Classification": ("type 1 StationaryObject.Classification.Type",),
     "MovingObject": (
         "id 1 Identifier",
         "base 2 BaseMoving",
@@ -45,22 +53,28 @@ _MESSAGES = {
         "vehicle_attributes 5 MovingObject.VehicleAttributes",
         "vehicle_classification 6 MovingObject.VehicleClassification",
     ),
-    "MovingObject.VehicleAttributes": ("bbcenter_to_rear 4 Vector3d",),
+    "MovingObject.VehicleAttributes": ("bbcenter_to_rear 4 Vector3d", "bbcenter_to_front 5 Vector3d"),
     "MovingObject.VehicleClassification": ("type 1 MovingObject.VehicleClassification.Type",),
     "GroundTruth": (
         "version 1 InterfaceVersion",
         "timestamp 2 Timestamp",
+        "stationary_object 4 StationaryObject[]",
         "moving_object 5 MovingObject[]",
     ),
 }
 _ENUMS = {
+    "StationaryObject.Classification.Type": {"TYPE_UNKNOWN": 0, "TYPE_OTHER": 1},
     "MovingObject.Type": {"TYPE_UNKNOWN": 0, "TYPE_OTHER": 1, "TYPE_VEHICLE": 2},
     "MovingObject.VehicleClassification.Type": {"TYPE_UNKNOWN": 0, "TYPE_OTHER": 1, "TYPE_MEDIUM_CAR": 4},
 }
 
 
-def write_osi(instants: Iterable[tuple[int, list[dict[str, Any]]]], stream: IO[bytes]) -> None:
-    """Write the states of each instant as one GroundTruth on `/ground_truth`.
+def write_osi(
+    instants: Iterable[tuple[int, list[dict[str, Any]]]],
+    obstacles: Sequence[SceneObstacle],
+    stream: IO[bytes],
+) -> None:
+    """Write the states of each instant, with all obstacles, as one GroundTruth on `/ground_truth`.
 
     Positions, velocities and accelerations are those of the box centre, in the map frame. OSI
     numbers its objects: a vehicle whose id is no number is numbered in the order of appearance.
@@ -69,6 +83,8 @@ def write_osi(instants: Iterable[tuple[int, list[dict[str, Any]]]], stream: IO[b
     ----------
     instants : iterable of (int, list of dict)
         Time [ns] and that instant's rows of the states table.
+    obstacles : sequence of SceneObstacle
+        What stands in the way.
     stream : IO
         Takes the file's bytes.
     """
@@ -79,8 +95,10 @@ def write_osi(instants: Iterable[tuple[int, list[dict[str, Any]]]], stream: IO[b
     for index, (time_ns, rows) in enumerate(instants):
         if index == 0:
             numbers = _object_numbers([row["vehicle_id"] for row in rows])
-        data = _ground_truth(time_ns, rows, numbers).SerializeToString(deterministic=True)
-        writer.add_message(channel, time_ns, data, time_ns, index)
+        truth = _ground_truth(time_ns, rows, numbers)
+        for number, obstacle in enumerate(obstacles, start=max(numbers.values()) + 1):
+            _add_obstacle(truth, number, obstacle)
+        writer.add_message(channel, time_ns, truth.SerializeToString(deterministic=True), time_ns, index)
     writer.finish()
 
 
@@ -99,7 +117,8 @@ def _open_trace(writer: Writer) -> int:
 
 def _object_numbers(vehicle_ids: list[str]) -> dict[str, int]:
     numbers = {vehicle: int(vehicle) for vehicle in vehicle_ids if vehicle.isascii() and vehicle.isdigit()}
-    if len(set(numbers.values())) == len(vehicle_ids) and max(numbers.values()) < 2**64:
+    # Room is left for the numbers of obstacles, which follow.
+    if len(set(numbers.values())) == len(vehicle_ids) and max(numbers.values()) < 2**63:
         return numbers
     return {vehicle: number for number, vehicle in enumerate(vehicle_ids, start=1)}
 
@@ -116,10 +135,25 @@ def _ground_truth(time_ns: int, rows: list[dict[str, Any]], numbers: dict[str, i
             id={"value": numbers[row["vehicle_id"]]},
             base=_base(row),
             type="TYPE_VEHICLE",
-            vehicle_attributes={"bbcenter_to_rear": _vector(-row["rear_axle_to_centre_m"], 0.0, 0.0)},
+            vehicle_attributes={
+                "bbcenter_to_rear": _vector(-row["rear_axle_to_centre_m"], 0.0, 0.0),
+                "bbcenter_to_front": _vector(row["wheelbase_m"] - row["rear_axle_to_centre_m"], 0.0, 0.0),
+            },
             vehicle_classification={"type": "TYPE_MEDIUM_CAR"},
         )
     return message
+
+
+def _add_obstacle(truth: Any, number: int, obstacle: SceneObstacle) -> None:
+    truth.stationary_object.add(
+        id={"value": number},
+        base={
+            "dimension": {"length": obstacle.length_m, "width": obstacle.width_m, "height": _HEIGHT_M},
+            "position": {"x": obstacle.x_m, "y": obstacle.y_m, "z": _HEIGHT_M / 2},
+            "orientation": {"roll": 0.0, "pitch": 0.0, "yaw": obstacle.heading_rad},
+        },
+        classification={"type": "TYPE_OTHER"},
+    )
 
 
 def _base(row: dict[str, Any]) -> dict[str, Any]:
