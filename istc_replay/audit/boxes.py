@@ -56,7 +56,8 @@ def _block_gap(a: FloatArray, b: FloatArray) -> FloatArray:
         # A distance is never less than the separation along an axis, whatever the rounding.
         distance = np.maximum(corners, separation)
         gap = np.where(separation > 0.0, distance, separation)
-    return np.where(np.isfinite(gap), gap, np.nan)
+        # An infinite size can leave finite distances behind.
+        return np.where(np.isfinite(gap + a.sum(axis=0) + b.sum(axis=0)), gap, np.nan)
 
 
 def _rotate(x: FloatArray, y: FloatArray, angle: FloatArray) -> tuple[FloatArray, FloatArray]:

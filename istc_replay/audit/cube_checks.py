@@ -8,8 +8,7 @@ from istc_replay.audit.case import Case, certificate_of
 from istc_replay.audit.motion import boxes_of
 from istc_replay.audit.sweep import Least
 from istc_replay.audit.walls import least_inside, wall_margin
-from istc_replay.datatypes import Certificate, FloatArray
-from istc_replay.geometry import to_frame
+from istc_replay.datatypes import Certificate, FloatArray, Frame
 
 #: A yaw this near to a quarter turn keeps the map's bounds axis-aligned in the corridor frame.
 _ALIGNED = 1e-12
@@ -60,9 +59,7 @@ def in_bounds(case: Case) -> Certificate:
     if not np.isfinite(walls).all():
         least = Least(np.nan, np.nan)
     elif abs(np.sin(2.0 * frame.yaw_rad)) < _ALIGNED:
-        corners = to_frame(walls.reshape(2, 2).T, frame)
-        inner = np.column_stack([corners.min(axis=0), corners.max(axis=0)]).ravel()
-        least = _least_within(case, inner)
+        least = _least_within(case, _quarter_turned(walls, frame))
     else:
         names, unjudged, what = case.driven, case.unjudged, "box"
         spread = np.broadcast_to(walls, (*case.motion.present.shape, 4))
@@ -118,6 +115,13 @@ def _least_separation(case: Case, others_m: FloatArray | None, promised_m: float
             at = int(piece)
             best = Least(float(least), float(least), row, begin + int(other), case.seconds(at))
     return best, at
+
+
+def _quarter_turned(walls_m: FloatArray, frame: Frame) -> FloatArray:
+    """Walls of the map frame in a corridor frame that is a quarter turn or more from it, exactly."""
+    c, s = np.round(np.cos(frame.yaw_rad)), np.round(np.sin(frame.yaw_rad))
+    x, y = walls_m[:2] - frame.x_m, walls_m[2:] - frame.y_m
+    return np.concatenate([np.sort(c * x + s * y), np.sort(c * y - s * x)])
 
 
 def _least_within(case: Case, bounds_m: FloatArray) -> Least:

@@ -153,9 +153,8 @@ def _cubes(rows: pl.DataFrame, start_ns: int) -> Boxes:
     if rows.is_empty():
         raise _UnsoundError("no corridor")
     boxes = _boxes(rows, start_ns)
-    sound = np.isfinite(boxes.walls_m).all(axis=1) & (boxes.walls_m[:, 0::2] < boxes.walls_m[:, 1::2]).all(
-        axis=1
-    )
+    sides = boxes.walls_m[:, 1::2] - boxes.walls_m[:, 0::2]
+    sound = np.isfinite(boxes.walls_m).all(axis=1) & (sides > 0.0).all(axis=1)
     _refuse(~sound, boxes.spans_ns[:, 0], "cube is not finite or has no area")
     _refuse_overlap(boxes)
     follows = (np.diff(boxes.units) == 1) & (boxes.spans_ns[1:, 0] == boxes.spans_ns[:-1, 1])
@@ -168,11 +167,10 @@ def _obstacle(rows: pl.DataFrame, start_ns: int) -> Boxes:
     boxes = _boxes(rows, start_ns)
     present = ~np.isnan(boxes.walls_m).all(axis=1)
     boxes = Boxes(boxes.units[present], boxes.spans_ns[present], boxes.walls_m[present])
-    sound = np.isfinite(boxes.walls_m).all(axis=1) & (boxes.walls_m[:, 0::2] <= boxes.walls_m[:, 1::2]).all(
-        axis=1
-    )
-    sound &= boxes.spans_ns[:, 0] < boxes.spans_ns[:, 1]
-    _refuse(~sound, boxes.spans_ns[:, 0], "a box is not finite, turned inside out, or has no duration")
+    sides = boxes.walls_m[:, 1::2] - boxes.walls_m[:, 0::2]
+    sound = np.isfinite(boxes.walls_m).all(axis=1) & (sides >= 0.0).all(axis=1)
+    _refuse(~sound, boxes.spans_ns[:, 0], "box is not finite or inverted")
+    _refuse_overlap(boxes)
     return boxes
 
 
@@ -231,9 +229,7 @@ def _check_knots(knots: IntArray, first: int, last: int) -> None:
         raise _UnsoundError("planned states do not start with the corridor", first)
     uneven = np.abs(steps - step) > _TIME_TOLERANCE_NS
     _refuse(
-        uneven | (steps <= 0),
-        knots[:-1] + step,
-        "planned states not evenly spaced: one is missing or moved",
+        uneven | (steps <= 0), knots[:-1] + step, "planned states unevenly spaced: one is missing or moved"
     )
     if abs(int(knots[-1]) - last) > _TIME_TOLERANCE_NS:
         raise _UnsoundError("planned states do not end with the corridor", int(knots[-1]) + step)
@@ -296,4 +292,4 @@ def _dicts(value: Any) -> list[dict[str, Any]]:
 
 
 def _integer(value: Any, default: int) -> int:
-    return value if isinstance(value, int) else default
+    return value if isinstance(value, int) and abs(value) < 2**63 else default

@@ -17,11 +17,12 @@ from istc_replay.audit.motion import Motion
 from istc_replay.audit.plan import IntArray
 from istc_replay.datatypes import FloatArray
 
-#: Bisections of one interval, and intervals looked at in all.
+#: Bisections of one interval, and intervals looked at for the proof on top of the first.
 _MOST_BISECTIONS = 32
-_MOST_INTERVALS = 1_000_000
-#: The least separation is searched to this precision.
+_MOST_INTERVALS = 400_000
+#: The least separation is searched to this precision, with so many intervals on top of the first.
 _RESOLUTION_M = 1e-3
+_MOST_PRECISE = 40_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -102,7 +103,7 @@ def least_gap(
     others, durations = second or first, np.diff(edges_s)
     i, j, piece = _near_pairs(first, second, durations, limit_m)
     low, high = np.zeros(piece.size), durations[piece]
-    best, proven, looked_at = Least(), np.inf, 0
+    best, proven, looked_at = Least(), np.inf, -piece.size
     for bisection in range(_MOST_BISECTIONS):
         if not piece.size:
             break
@@ -111,26 +112,25 @@ def least_gap(
         gap = box_gap(boxes_i, boxes_j)
         pull = first.acceleration_mps2[i, piece] + others.acceleration_mps2[j, piece]
         spin = first.spin_mps[i, piece] + others.spin_mps[j, piece]
-        lower = gap - error_m - (np.hypot(*(v_i - v_j).T) + pull * radius + spin) * radius
+        lower = gap - error_m - (np.hypot(*(v_i - v_j).T) + pull * radius / 2.0 + spin) * radius
         least = int(np.argmin(gap))
         if gap[least] < best.found:
             time_s = float(edges_s[piece[least]] + middle[least])
             best = Least(float(gap[least]), -np.inf, int(i[least]), int(j[least]), time_s)
         looked_at += gap.size
-        precise = best.found - _RESOLUTION_M
-        undecided = ~(lower > (max(limit_m, precise) if best.found > limit_m else precise))
-        if looked_at + 2 * np.count_nonzero(undecided) > _MOST_INTERVALS:
+        failed, precise = best.found <= limit_m, best.found - _RESOLUTION_M
+        undecided = ~(lower > (precise if failed else max(limit_m, precise)))
+        imprecise = looked_at + 2 * np.count_nonzero(undecided) > _MOST_PRECISE
+        if imprecise:
             undecided = ~(lower > limit_m)  # give up the precision, not the proof
         proven = np.minimum(proven, np.min(lower, where=~undecided, initial=np.inf))
-        stop = looked_at + 2 * np.count_nonzero(undecided) > _MOST_INTERVALS
-        if stop or bisection == _MOST_BISECTIONS - 1:
+        spent = looked_at + 2 * np.count_nonzero(undecided) > _MOST_INTERVALS
+        if spent or (imprecise and failed) or bisection == _MOST_BISECTIONS - 1:
             proven = np.minimum(proven, np.min(lower))
             break
         i, j, piece = (np.tile(rows[undecided], 2) for rows in (i, j, piece))
-        low, high = (
-            np.concatenate([low[undecided], middle[undecided]]),
-            np.concatenate([middle[undecided], high[undecided]]),
-        )
+        low, middle, high = low[undecided], middle[undecided], high[undecided]
+        low, high = np.concatenate([low, middle]), np.concatenate([middle, high])
     return replace(best, proven=float(np.minimum(best.found, proven)))
 
 

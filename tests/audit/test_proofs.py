@@ -1,0 +1,167 @@
+"""The re-integrated motion and the proofs over continuous time, against fine simulation."""
+
+from __future__ import annotations
+
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from istc_replay.audit.boxes import box_gap
+from istc_replay.audit.case import Case, build_case
+from istc_replay.audit.plan import written_plans
+from istc_replay.audit.sweep import Least, least_gap, moving_bodies, standing_bodies
+from istc_replay.audit.walls import least_inside, wall_margin
+from istc_replay.config import Config, parse_config
+
+
+def case_of(scene: Any, config: Config | None = None) -> Case:
+    case = build_case(next(written_plans(scene.result())), {}, None, config or Config())
+    assert case is not None
+    return case
+
+
+def nearby_cars(kit: SimpleNamespace, rng: np.random.Generator, count: int) -> list[Any]:
+    return [kit.random_car(rng, f"v{i}", 15).moved(*rng.uniform(-8, 8, 2)) for i in range(count)]
+
+
+@pytest.mark.parametrize("step_s", [0.01, 0.05, 0.2])
+def test_the_motion_is_that_of_a_fine_simulation(kit: SimpleNamespace, step_s: float) -> None:
+    rng = np.random.default_rng(1)
+    cars = nearby_cars(kit, rng, 4)
+    motion = case_of(kit.Scene(cars), parse_config(f"[certificate]\nstep_s = {step_s}")).motion
+    assert motion.judged.all()
+    for row, car in enumerate(cars):
+        times = car.times_s(1.0)[:-1]
+        piece = np.searchsorted(motion.edges_s, times + 1e-9) - 1
+        states = motion.at(np.full(times.size, row), piece, times - motion.edges_s[piece])
+        np.testing.assert_allclose(states[:, 3:], car.dense[:-1, 3:], rtol=0, atol=1e-12)
+        error = np.hypot(*(states[:, :2] - car.dense[:-1, :2]).T).max()
+        assert error < 1e-7
+        assert np.abs(states[:, 2] - car.dense[:-1, 2]).max() < 1e-7
+
+
+def test_bounds_hold_for_the_fine_simulation(kit: SimpleNamespace) -> None:
+    rng = np.random.default_rng(2)
+    cars = nearby_cars(kit, rng, 6)
+    motion = case_of(kit.Scene(cars)).motion
+    bodies = moving_bodies(motion)
+    for row, car in enumerate(cars):
+        h = 0.2 / kit.dense
+        speed, turn = car.dense[:, 4], car.dense[:, 4] * np.tan(car.dense[:, 3]) / car.dimensions[2]
+        centre_velocity = np.diff(car.centres()[:, :2], axis=0) / h
+        piece = np.repeat(np.arange(15), kit.dense)
+        for values, bound in (
+            (np.abs(speed[:-1]), motion.bounds[row, piece, 0]),
+            (np.abs(car.dense[:-1, 5]), motion.bounds[row, piece, 1]),
+            (np.abs(turn[:-1]), motion.bounds[row, piece, 2]),
+            (np.abs(np.diff(turn)) / h, motion.bounds[row, piece, 3]),
+            (np.hypot(*centre_velocity.T), bodies.speed_mps[row, piece]),
+        ):
+            assert (values <= bound + 1e-9).all()
+        inner = np.nonzero(piece[1:] == piece[:-1])[0]
+        centre_acceleration = np.hypot(*np.diff(centre_velocity, axis=0)[inner].T) / h
+        assert (centre_acceleration <= bodies.acceleration_mps2[row, piece[inner]] + 1e-6).all()
+        corners = np.diff(car.corners(), n=2, axis=0)[inner] / h**2
+        reach = np.hypot(abs(car.dimensions[3]) + car.dimensions[0] / 2, car.dimensions[1] / 2)
+        bend = motion.point_acceleration(np.full(len(cars), reach))[row, piece[inner]]
+        assert (np.abs(corners).max(axis=(1, 2)) <= bend + 1e-6).all()
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_dense_sampling_never_finds_less_than_the_proven_separation(kit: SimpleNamespace, seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    cars = nearby_cars(kit, rng, 3)
+    case = case_of(kit.Scene(cars))
+    boxes = [car.boxes() for car in cars]
+    dense = {(i, j): box_gap(boxes[i], boxes[j]) for i in range(3) for j in range(i + 1, 3)}
+    truth = min(gaps.min() for gaps in dense.values())
+    least = least_gap(moving_bodies(case.motion), None, case.motion.edges_s, 0.0, 0.0)
+    assert least.proven <= truth + 1e-9
+    assert truth - 0.03 <= least.found <= truth + 1e-3  # the samples are 3 ms apart
+    if truth > 0.01:
+        assert least.proven > 0.0
+    # The witness is where it says.
+    k = round(least.time_s / 0.2 * kit.dense)
+    assert dense[least.first, least.second][k] == pytest.approx(least.found, abs=0.03)
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_dense_sampling_never_finds_less_than_the_proven_distance_from_obstacles(
+    kit: SimpleNamespace, seed: int
+) -> None:
+    rng = np.random.default_rng(100 + seed)
+    cars = nearby_cars(kit, rng, 2)
+    centres, sizes = rng.uniform(-15, 15, (4, 3, 2)), rng.uniform(0.2, 3, (4, 3, 2))
+    low, high = centres - sizes / 2, centres + sizes / 2
+    walls = np.stack([low[..., 0], high[..., 0], low[..., 1], high[..., 1]], axis=-1)
+    walls[0, 1] = np.nan
+    case = case_of(kit.Scene(cars, obstacles={f"o{i}": rows for i, rows in enumerate(walls)}))
+    truth = np.inf
+    for car in cars:
+        for k in range(3):
+            closed = slice(5 * k * kit.dense, 5 * (k + 1) * kit.dense + 1)
+            for i in range(4):
+                box = [*centres[i, k], 0.0, *sizes[i, k]]
+                if np.isfinite(walls[i, k]).all():
+                    truth = min(truth, box_gap(car.boxes()[closed], box).min())
+    least = least_gap(
+        moving_bodies(case.motion), standing_bodies(case.obstacles_m), case.motion.edges_s, 0.0, 0.0
+    )
+    assert least.proven <= truth + 1e-9
+    assert truth - 0.03 <= least.found <= truth + 1e-3
+
+
+@pytest.mark.parametrize("seed", range(40))
+def test_dense_sampling_never_leaves_a_corridor_that_was_proven(kit: SimpleNamespace, seed: int) -> None:
+    rng = np.random.default_rng(200 + seed)
+    cars = nearby_cars(kit, rng, 2)
+    # Walls that the truth grazes from either side.
+    cubes = {
+        car.name: car.hulls(1.0, 0.0) + rng.normal(0, 1e-4, (3, 4)) + [-1e-4, 1e-4, -1e-4, 1e-4]
+        for car in cars
+    }
+    case = case_of(kit.Scene(cars, cubes=cubes))
+    truth = np.inf
+    for car in cars:
+        for k in range(3):
+            closed = slice(5 * k * kit.dense, 5 * (k + 1) * kit.dense + 1)
+            truth = min(truth, wall_margin(car.boxes()[closed], cubes[car.name][k]).min())
+    least = least_inside(case.motion, case.walls_m, 1e-6)
+    assert least.proven <= truth + 1e-9
+    assert least.found <= truth + 1e-4
+    if truth < -2e-5:
+        assert least.found < -1e-6
+    elif truth > 2e-5:
+        assert least.proven >= -1e-6
+
+
+def test_parallel_traffic_is_proven_at_any_gap(kit: SimpleNamespace) -> None:
+    cars = [kit.straight_car(f"v{i}", 2.0 * i, i * (1.9 + 1e-6), 0.0, 8.0, 40) for i in range(4)]
+    case = case_of(kit.Scene(cars))
+    least = least_gap(moving_bodies(case.motion), None, case.motion.edges_s, 0.0, 0.0)
+    assert least.found == pytest.approx(1e-6, abs=1e-9)
+    assert least.proven > 0.0
+
+
+def test_touching_is_never_proven_apart(kit: SimpleNamespace) -> None:
+    # A car that passes a wall at a distance of exactly nothing, and of next to nothing.
+    for gap in (0.0, 1e-12):
+        scene = kit.Scene([kit.straight_car("a", 0, 0, 0.0, 8.0, 40)])
+        scene.obstacles = {"wall": np.tile([10.0, 50.0, 0.95 + gap, 3.0], (8, 1))}
+        case = case_of(scene)
+        least = least_gap(
+            moving_bodies(case.motion), standing_bodies(case.obstacles_m), case.motion.edges_s, 0.0, 1e-9
+        )
+        assert not least.proven > 0.0
+        assert least.found == pytest.approx(gap, abs=1e-9)
+
+
+def test_nothing_to_look_at_is_told_as_such(kit: SimpleNamespace) -> None:
+    cars = [kit.straight_car("a", 0, 0, 0, 5.0, 5), kit.straight_car("b", 0, 0, 0, 5.0, 5, first_unit=2)]
+    case = case_of(kit.Scene(cars))
+    bodies = moving_bodies(case.motion)
+    assert least_gap(bodies, None, case.motion.edges_s, 0.0, 0.0) == Least()
+    assert least_gap(bodies, standing_bodies(case.obstacles_m), case.motion.edges_s, 0.0, 0.0) == Least()
+    assert least_inside(case.motion, np.full_like(case.walls_m, np.nan), 0.0) == Least()
