@@ -39,6 +39,8 @@ if TYPE_CHECKING:
 #: A recording with a hole longer than this many median sample periods is not planned across it.
 HOLE_PERIODS = 3.0
 _LEAST_HOLE_S = 0.5
+#: States this far outside a window still tell the state at its ends.
+_MARGIN_S = 1.0
 
 
 def build_scenarios(log: Log, config: Config) -> Iterator[Scenario]:
@@ -87,13 +89,13 @@ def build_scenario(log: Log, config: Config, start_ns: int, units: int, index: i
     """Build the scenario of one window of `units` time units from `start_ns`."""
     unit_ns = seconds_to_ns(config.window.unit_s)
     end_ns = start_ns + units * unit_ns
-    inside = log.states.filter(pl.col("time_ns").is_between(start_ns, end_ns))
-    frame = _local_frame(inside)
+    present, states = _around(log.states, start_ns, end_ns)
+    frame = _local_frame(states)
     window = Window(index, start_ns, end_ns, config.window.unit_s, units, frame)
     participants, excluded = [], []
     moving: list[Obstacle] = []
-    tracks = inside.partition_by("vehicle_id", as_dict=True, maintain_order=True)
-    for vehicle_id in sorted((str(key[0]) for key in tracks), key=_natural):
+    tracks = states.partition_by("vehicle_id", as_dict=True, maintain_order=True)
+    for vehicle_id in sorted(present, key=_natural):
         track = tracks[(vehicle_id,)]
         usable = _usable(track, vehicle_id, window, config.window)
         if isinstance(usable, Exclusion):
@@ -114,8 +116,17 @@ def build_scenario(log: Log, config: Config, start_ns: int, units: int, index: i
         obstacles=(*(_standing_obstacle(o, window) for o in log.scene.obstacles), *moving),
         bounds_m=_bounds(log.scene.bounds, frame),
         excluded=tuple(excluded),
-        vehicles_present=len(tracks),
+        vehicles_present=len(present),
     )
+
+
+def _around(states: pl.DataFrame, start_ns: int, end_ns: int) -> tuple[list[str], pl.DataFrame]:
+    """Vehicles with a state in the span, and their states in it and just outside, to interpolate from."""
+    time_ns = pl.col("time_ns")
+    present = states.filter(time_ns.is_between(start_ns, end_ns))["vehicle_id"].unique().to_list()
+    margin = seconds_to_ns(_MARGIN_S)
+    near = states.filter(time_ns.is_between(start_ns - margin, end_ns + margin))
+    return present, near.filter(pl.col("vehicle_id").is_in(present))
 
 
 def _natural(vehicle_id: str) -> tuple[int, str]:
@@ -166,9 +177,17 @@ def _usable(track: pl.DataFrame, vehicle_id: str, window: Window, config: Window
     if not known["speed_mps"].is_finite().fill_null(False).all():
         return Exclusion(vehicle_id, "missing_speed", "no speed is recorded, and none can be derived")
     times = (known["time_ns"].to_numpy() - window.start_ns) / NS_PER_S
+    return _unbroken(known, times, vehicle_id, window, config)
+
+
+def _unbroken(
+    known: pl.DataFrame, times: FloatArray, vehicle_id: str, window: Window, config: WindowConfig
+) -> _Track | Exclusion:
     periods = np.diff(times)
+    # A hole that lies outside the window is none of its business.
+    periods[(times[1:] <= 0.0) | (times[:-1] >= window.units * window.unit_s)] = 0.0
     hole = int(np.argmax(periods))
-    if periods[hole] > max(HOLE_PERIODS * float(np.median(periods)), _LEAST_HOLE_S):
+    if periods[hole] > max(HOLE_PERIODS * float(np.median(np.diff(times))), _LEAST_HOLE_S):
         return Exclusion(
             vehicle_id, "hole", f"nothing recorded for {periods[hole]:.2f} s from {times[hole]:.2f} s on"
         )

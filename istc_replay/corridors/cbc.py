@@ -103,6 +103,9 @@ def _first_line(error: Exception) -> str:
 def read_log(text: str) -> CbcRun:
     """Read CBC's log: on a limit Pyomo leaves the bound out, the log has it."""
     found = _RESULT.findall(text)
+    if not found and "nfeasibility proved" in text:
+        # Preprocessing alone may find it; then there is no Result block.
+        return CbcRun(SolveStatus.INFEASIBLE, None, 0, 0, "infeasible before the search")
     if not found:
         raise SolveError("CBC ended without a result; was it killed?")
     detail = found[-1].strip()

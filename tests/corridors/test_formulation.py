@@ -1,0 +1,123 @@
+"""The rows and bounds of layer 1, against brute force and against motions that must satisfy them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from istc_replay.corridors.conflict_tree import search
+from istc_replay.corridors.formulation import car_box_m
+from istc_replay.corridors.problem import CorridorProblem, Limits, OptionTable
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.floats(-10.0, 10.0), st.floats(0.0, 0.6), st.floats(1.0, 20.0), st.floats(0.5, 3.0))
+def test_the_car_box_holds_the_car_at_every_heading_within_the_slack(
+    heading: float, slack: float, length: float, width: float
+) -> None:
+    box = car_box_m(np.array([heading]), slack, length, width)[0]
+    angles = heading + np.linspace(-slack, slack, 2001)
+    c, s = np.abs(np.cos(angles)), np.abs(np.sin(angles))
+    largest = np.array([(length * c + width * s).max(), (length * s + width * c).max()])
+    assert np.all(box >= largest - 1e-9)
+    np.testing.assert_allclose(box, largest, rtol=1e-5)
+
+
+def violation(problem: CorridorProblem, z: np.ndarray) -> float:
+    """Largest violation of bounds and rows at z."""
+    worst = max(float((problem.lower - z).max()), float((z - problem.upper).max()))
+    for row in problem.rows:
+        value = float(np.dot(row.weight, z[list(row.index)]))
+        worst = max(worst, row.lower - value, value - row.upper)
+    return worst
+
+
+def test_the_guidance_itself_meets_every_row_that_always_holds(intersection: Callable[..., Any]) -> None:
+    problem = intersection("intersection_turn_first").problem()
+    z = np.array(problem.reference)
+    assert violation(problem, problem.least_cubes(z)) <= 1e-9
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_the_trees_corridors_meet_every_row_and_disjunction(seed: int, crossing: Callable[..., Any]) -> None:
+    problem = crossing(seed, vehicles=3).problem()
+    found = search(problem, 4000)
+    if found.z is None:
+        assert found.exhausted
+        return
+    assert violation(problem, found.z) <= 1e-6
+    if problem.disjunctions:
+        assert OptionTable.of(problem).slack(found.z).max(axis=1).min() >= -1e-5
+
+
+def test_random_walks_within_the_limits_stay_within_the_reachable_bounds(
+    crossing: Callable[..., Any],
+) -> None:
+    problem = crossing(3, vehicles=2).problem()
+    random = np.random.default_rng(0)
+    rows = [r for r in problem.rows if r.equation == "eq. (12)"]
+    found = 0
+    for _ in range(4000):
+        z = problem.least_cubes(
+            problem.reference + random.normal(0.0, 0.4, problem.size) * (problem.quadratic > 0)
+        )
+        kept = all(r.lower <= np.dot(r.weight, z[list(r.index)]) <= r.upper for r in rows)
+        if kept:
+            found += 1
+            pivots = problem.pivot_indices
+            assert np.all(z[pivots] >= problem.lower[pivots] - 1e-9)
+            assert np.all(z[pivots] <= problem.upper[pivots] + 1e-9)
+    assert found > 20
+
+
+def test_tightened_limits_are_smaller() -> None:
+    limits = Limits(0.4, 1.5, 3.0, 1.5)
+    tight = limits.tightened()
+    assert tight.cone < limits.cone
+    assert tight.deceleration_mps2 < limits.deceleration_mps2
+
+
+def brute_force(problem: CorridorProblem) -> float:
+    """Least eq. (3) over every combination of options, one QP each, by CasADi's PIQP."""
+    from itertools import product
+
+    from istc_replay.corridors.problem import CorridorProblem as Problem
+
+    best = np.inf
+    for choice in product(*(range(len(d.options)) for d in problem.disjunctions)):
+        from istc_replay.corridors.polish import polish
+
+        pivots_only = Problem(
+            problem.blocks,
+            problem.rows,
+            problem.disjunctions,
+            problem.quadratic,
+            problem.reference,
+            np.zeros(problem.size),
+            problem.lower,
+            problem.upper,
+            problem.witness,
+            problem.witness_offset_m,
+        )
+        z = polish(pivots_only, choice)
+        if z is not None:
+            best = min(best, pivots_only.objective(z))
+    return best
+
+
+@pytest.mark.parametrize("seed", [1, 4, 6])
+def test_the_conflict_tree_finds_what_brute_force_finds(seed: int, crossing: Callable[..., Any]) -> None:
+    problem = crossing(seed, vehicles=2, units=3).problem()
+    assert 0 < len(problem.disjunctions) <= 4
+    found = search(problem, 4000)
+    exact = brute_force(problem)
+    if found.z is None:
+        assert exact == np.inf
+    else:
+        cost = float(problem.quadratic @ (found.z - problem.reference) ** 2)
+        assert cost == pytest.approx(exact, abs=1e-5)
