@@ -36,6 +36,9 @@ _FRAMES = 6
 _NEAR_M = 14.0
 _TICK_M = 0.9
 _LABELS = 60
+_SCALES_M = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
+#: Vehicles nearer than this are ringed [m].
+_CLOSE_M = 4.0
 _PLANNED: dict[str, Any] = {"linestyle": "-", "linewidth": 1.8}
 _RECORDED: dict[str, Any] = {"linestyle": (0, (4, 1.8)), "linewidth": 1.3}
 
@@ -61,7 +64,8 @@ def draw_top_down(scene: WindowScene, recorded: ClosestPair | None) -> Figure:
         if recorded is not None:
             _draw_boxes(axes, scene, tracks, recorded.time_s, filled=True)
             axes.set_title(f"{title}; boxes at {recorded.time_s:.1f} s")
-            axes.plot(*recorded.place_m, "o", markersize=30, markerfacecolor="none", markeredgecolor=CONTACT)
+            if recorded.least_m < _CLOSE_M:
+                axes.plot(*recorded.place_m, "o", markersize=30, mfc="none", markeredgecolor=CONTACT)
         _draw_scale(axes)
     foot_legend(figure, styles, [(title, look) for title, _, look in panels])
     origin_note(figure, scene.origin_m, at_top=True)
@@ -272,20 +276,27 @@ def _draw_cubes(axes: Axes, scene: WindowScene, time_s: float) -> None:
 
 
 def _draw_scale(axes: Axes) -> None:
-    """Draw a bar of a round length into the lower right corner."""
-    (left, right), (bottom, top) = axes.get_xlim(), axes.get_ylim()
-    length = max(
-        (r for r in (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000) if r <= 0.2 * (right - left)), default=1
+    """Draw a bar of a round length above the upper right corner."""
+    left, right = axes.get_xlim()
+    length = max((r for r in _SCALES_M if r <= 0.2 * (right - left)), default=_SCALES_M[0])
+    across = axes.get_xaxis_transform()
+    axes.plot(
+        [right - length, right],
+        [1.02, 1.02],
+        color=INK,
+        linewidth=2.0,
+        solid_capstyle="butt",
+        transform=across,
+        clip_on=False,
     )
-    x, y = right - 0.03 * (right - left), bottom + 0.03 * (right - left)
-    axes.plot([x - length, x], [y, y], color=INK, linewidth=2.0, solid_capstyle="butt", zorder=5)
-    axes.text(
-        x - length / 2.0,
-        y + 0.01 * (right - left),
+    axes.annotate(
         f"{length} m",
-        ha="center",
-        va="bottom",
+        (right - length, 1.02),
+        xycoords=across,
+        xytext=(-4.0, 0.0),
+        textcoords="offset points",
+        ha="right",
+        va="center",
         fontsize=7,
-        zorder=5,
     )
-    axes.set(xlim=(left, right), ylim=(bottom, top))
+    axes.set_xlim(left, right)

@@ -20,7 +20,7 @@ from istc_replay.export.figures.style import (
 )
 from istc_replay.export.figures.tracks import Track, WindowScene
 
-_PLANNED: dict[str, Any] = {"linestyle": "-", "linewidth": 1.6}
+_PLANNED: dict[str, Any] = {"linestyle": "-", "linewidth": 2.4, "alpha": 0.65}
 _RECORDED: dict[str, Any] = {"linestyle": (0, (3, 1.6)), "linewidth": 0.9}
 #: Gaps up to here are always on the scale [m].
 _INTERESTING_M = 8.0
@@ -67,7 +67,7 @@ def _draw_line(
 ) -> None:
     times, values = track.with_gaps(getattr(track, quantity))
     style = scene.styles[name]
-    axes.plot(times, values, color=style.colour, alpha=1.0 if planned else 0.75, **look)
+    axes.plot(times, values, color=style.colour, zorder=2.0 if planned else 2.1, **look)
     if planned or not scene.planned:
         # Markers once a second or so, shifted a little from vehicle to vehicle.
         count = max(int(scene.duration_s), 1)
@@ -104,7 +104,7 @@ def draw_separation(scene: WindowScene, recorded: ClosestPair | None, planned: C
     axes = figure.add_axes((0.065, 0.135, 0.915, 0.84))
     looks = (
         ("recorded", recorded, {**_RECORDED, "linewidth": 1.4, "color": MUTED, "marker": "v"}),
-        ("planned", planned, {**_PLANNED, "linewidth": 2.0, "color": INK, "marker": "^"}),
+        ("planned", planned, {"linewidth": 2.0, "color": INK, "marker": "^"}),
     )
     shown = [(name, pair, look) for name, pair, look in looks if pair is not None]
     for _, pair, look in shown:

@@ -200,15 +200,35 @@ def _fill_place(axes: Any, place: Place) -> None:
 
 
 def _draw_floor(axes: Any, lanes_m: FloatArray) -> None:
-    """Draw the lanes at t = 0; three-dimensional axes do not clip, so points outside are dropped."""
-    if not len(lanes_m):
-        return
-    (x_min, x_max), (y_min, y_max) = axes.get_xlim(), axes.get_ylim()
-    x, y = lanes_m.T
-    outside = ~((x >= x_min) & (x <= x_max) & (y >= y_min) & (y <= y_max))
-    shown = lanes_m.copy()
-    shown[outside] = np.nan
-    axes.plot(*shown.T, np.zeros(len(shown)), color=GRID, linewidth=2.5, zorder=0.5)
+    """Draw the lanes at t = 0, cut at the box: three-dimensional axes do not clip."""
+    segments = clip_segments(lanes_m, axes.get_xlim(), axes.get_ylim())
+    if len(segments):
+        flat = np.concatenate([segments, np.zeros((*segments.shape[:2], 1))], axis=2)
+        lanes = Line3DCollection(flat, colors=GRID, linewidths=2.5)
+        lanes.set_zorder(0.5)
+        axes.add_collection3d(lanes, autolim=False)
+
+
+def clip_segments(points_m: FloatArray, x_m: tuple[float, float], y_m: tuple[float, float]) -> FloatArray:
+    """Cut the segments between points (P, 2) to a rectangle; (S, 2, 2), without those outside.
+
+    A NaN point ends a line. Each segment is kept where the four half planes leave some of it
+    (Liang and Barsky's method).
+    """
+    starts, steps = points_m[:-1], np.diff(points_m, axis=0)
+    enter, leave = np.zeros(len(starts)), np.ones(len(starts))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        for axis, (low, high) in enumerate((x_m, y_m)):
+            to_low = (low - starts[:, axis]) / steps[:, axis]
+            to_high = (high - starts[:, axis]) / steps[:, axis]
+            parallel = steps[:, axis] == 0.0
+            inside = (starts[:, axis] >= low) & (starts[:, axis] <= high)
+            first = np.where(parallel, np.where(inside, 0.0, np.inf), np.minimum(to_low, to_high))
+            last = np.where(parallel, np.where(inside, 1.0, -np.inf), np.maximum(to_low, to_high))
+            enter, leave = np.maximum(enter, first), np.minimum(leave, last)
+    kept = enter < leave  # false where a point is NaN
+    ends = np.stack([enter[kept], leave[kept]], axis=1)[..., None]
+    return np.asarray(starts[kept, None] + ends * steps[kept, None])
 
 
 def _draw_prisms(
@@ -219,7 +239,7 @@ def _draw_prisms(
     fills: list[Any] = []
     edges: list[Any] = []
     painted = [(style.colour, 0.13, 0.8, shape) for style, shape in corridors]
-    painted += [(MUTED, 0.3, 0.6, _standing(shape)) for shape in obstacles]
+    painted += [(MUTED, 0.3, 0.6, _standing(shape, axes)) for shape in obstacles]
     for colour, fill, edge, shape in painted:
         quads = _prism_faces(shape)
         faces.append(quads)
@@ -238,14 +258,15 @@ def _prism_faces(shape: CorridorShape) -> FloatArray:
     return corners[:, _FACES].reshape(-1, 4, 3)
 
 
-def _standing(shape: CorridorShape) -> CorridorShape:
-    """An obstacle that stands still is one tall prism."""
-    if not np.allclose(shape.outlines_m, shape.outlines_m[0]):
-        return shape
-    span = np.array([[shape.spans_s[:, 0].min(), shape.spans_s[:, 1].max()]])
-    return CorridorShape(
-        shape.name, shape.outlines_m[:1], span, shape.pivots_m, shape.references_m, shape.knots_s
-    )
+def _standing(shape: CorridorShape, axes: Any) -> CorridorShape:
+    """The part of an obstacle inside the box; one that stands still is one tall prism."""
+    middles = shape.outlines_m.mean(axis=1)
+    (x_min, x_max), (y_min, y_max) = axes.get_xlim(), axes.get_ylim()
+    inside = ((middles > (x_min, y_min)) & (middles < (x_max, y_max))).all(axis=1)
+    outlines, spans = shape.outlines_m[inside], shape.spans_s[inside]
+    if len(outlines) and np.allclose(outlines, outlines[0]):
+        outlines, spans = outlines[:1], np.array([[spans[:, 0].min(), spans[:, 1].max()]])
+    return CorridorShape(shape.name, outlines, spans, shape.pivots_m, shape.references_m, shape.knots_s)
 
 
 def _draw_pivots(axes: Any, shape: CorridorShape, style: VehicleStyle, *, named: bool) -> None:

@@ -15,7 +15,6 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties, findfont, get_font
 from matplotlib.lines import Line2D
-from matplotlib.style.core import STYLE_BLACKLIST
 
 from istc_replay.export.colours import vehicle_colours
 
@@ -29,6 +28,11 @@ LEGEND_ENTRIES = 12
 #: Up to this many vehicles are named beside their paths, more in the legend alone.
 NAMED = 8
 
+#: Settings that change a picture; all others stay the caller's.
+_DRAWN = (
+    *("axes", "figure", "font", "grid", "hatch", "legend", "lines", "markers", "mathtext", "patch"),
+    *("path", "pdf", "savefig", "scatter", "svg", "text", "xaxis", "xtick", "yaxis", "ytick"),
+)
 _STYLE: dict[str, Any] = {
     "axes.axisbelow": True,
     "axes.edgecolor": MUTED,
@@ -87,7 +91,7 @@ def drawing_style() -> Iterator[None]:
 
 @cache
 def _settings() -> Any:
-    defaults = {key: value for key, value in mpl.rcParamsDefault.items() if key not in STYLE_BLACKLIST}
+    defaults = {key: value for key, value in mpl.rcParamsDefault.items() if key.startswith(_DRAWN)}
     return defaults | _STYLE
 
 

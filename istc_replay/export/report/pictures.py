@@ -25,7 +25,7 @@ _CAPTIONS = {
     "boundaries of the time units. Each panel is turned so that its path is seen best.",
     "top_down": "Trajectories from above as recorded, and beside or below that as planned. Ticks mark whole "
     "seconds from the window's start. Boxes stand at the instant at which the recording brings two of the "
-    "planned vehicles closest; the ring marks the place.",
+    "planned vehicles closest; a ring marks the place where they are less than 4 m apart.",
     "filmstrip": "Instants about the closest approach of the recording. Dashed boxes are recorded, filled "
     "ones planned, with the corridor-cubes of that instant around them.",
     "speed_acceleration": "Speed and acceleration, recorded and planned. Limits far from all lines are not "
@@ -35,7 +35,8 @@ _CAPTIONS = {
 }
 _RECORDED_CAPTIONS = {
     "top_down": "Trajectories from above as recorded. Ticks mark whole seconds from the window's start. "
-    "Boxes stand at the instant at which two vehicles are closest; the ring marks the place.",
+    "Boxes stand at the instant at which two vehicles are closest; a ring marks the place where they are "
+    "less than 4 m apart.",
     "filmstrip": "Instants about the closest approach of the recording.",
     "speed_acceleration": "Speed and acceleration as recorded.",
     "separation": "Gap between the two closest boxes of all recorded vehicles at the instants of the "
