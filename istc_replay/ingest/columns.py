@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import math
-from array import array
 from typing import NamedTuple, Protocol
 
-import numpy as np
 import polars as pl
 
 from istc_replay.ingest.problems import Problems, quoted
@@ -65,27 +62,31 @@ class Reader(Protocol):
         """
 
 
+_KEYS = ("time_ns", "log_time_ns", "publish_time_ns", "message_index", "topic")
+_SCHEMA = pl.Schema(
+    {name: STATES_SCHEMA[name] for name in (*_KEYS, "vehicle_id", "role", *State._fields[3:])}
+)
 _FLOATS = State._fields[3:]
+_BATCH = 8192
 
 
 class StateColumns:
-    """Columns of the states table, in the order of the file; a NaN in them stands for null."""
+    """The states of a log as columns, in the order of the file."""
 
     def __init__(self, time_source: str, limit: int, problems: Problems) -> None:
         self._time_source = time_source
         self._limit = limit
         self._problems = problems
-        self._texts: dict[str, int] = {}
-        self._codes = {name: array("l") for name in ("vehicle_id", "role", "topic")}
-        names = ("time_ns", "log_time_ns", "publish_time_ns", "message_index")
-        self._ints = {name: array("q") for name in names}
-        self._floats = tuple(array("d") for _ in _FLOATS)
+        self._count = 0
+        self._rows: list[tuple[object, ...]] = []
+        self._offsets: list[int] = []
+        self._batches: list[pl.DataFrame] = []
 
     def add(self, state: State, message: Message, message_index: int) -> None:
         """Take in one state; what cannot stand in the table is left out and told."""
         topic = message.channel.topic
         times = self._times(state, message)
-        if any(not -_INT64 <= time < _INT64 for time in times):
+        if max(times) >= _INT64 or min(times) < -_INT64:
             worst = max(times, key=abs)
             detail = f"a time of {worst} ns on {quoted(topic)} is beyond int64; its state is left out"
             self._problems.add("time_overflow", detail, message.offset)
@@ -96,23 +97,15 @@ class StateColumns:
             )
             self._problems.add("no_vehicle_id", detail, message.offset, topic)
             return
-        if len(self._floats[0]) >= self._limit:
+        if self._count >= self._limit:
             detail = f"more than {self._limit} states in a file of this size; the rest is left out"
             self._problems.lose("too_many_states", detail, message.offset)
             return
-        for column, value in zip(self._ints.values(), (*times, message_index), strict=True):
-            column.append(value)
-        for column, text in zip(self._codes.values(), (state.vehicle_id, state.role, topic), strict=True):
-            column.append(self._texts.setdefault(text, len(self._texts)))
-        for name, numbers, number in zip(_FLOATS, self._floats, state[3:], strict=True):
-            if number is None:
-                number = math.nan
-            elif not math.isfinite(number):
-                vehicle = quoted(state.vehicle_id)
-                detail = f"{name} of vehicle {vehicle} on {quoted(topic)} is {number}; taken as unknown"
-                self._problems.add("not_finite", detail, message.offset, topic)
-                number = math.nan
-            numbers.append(number)
+        self._count += 1
+        self._rows.append((*times, message_index, topic, state.vehicle_id, *state[2:]))
+        self._offsets.append(message.offset)
+        if len(self._rows) == _BATCH:
+            self._close_batch()
 
     def _times(self, state: State, message: Message) -> tuple[int, int, int]:
         log_ns, publish_ns = message.log_time_ns, message.publish_time_ns
@@ -127,15 +120,32 @@ class StateColumns:
             return log_ns, log_ns, publish_ns
         return state.header_ns, log_ns, publish_ns
 
+    def _close_batch(self) -> None:
+        values = zip(*self._rows, strict=True)
+        batch = pl.DataFrame(
+            [
+                pl.Series(name, column, dtype)
+                for (name, dtype), column in zip(_SCHEMA.items(), values, strict=True)
+            ]
+        )
+        for name in _FLOATS:
+            wrong = (~batch[name].is_finite()).arg_true()
+            for row in wrong:
+                self._tell_not_finite(batch, name, row)
+            if len(wrong):
+                finite = pl.when(pl.col(name).is_finite()).then(name)
+                batch = batch.with_columns(finite.alias(name))
+        self._batches.append(batch)
+        self._rows, self._offsets = [], []
+
+    def _tell_not_finite(self, batch: pl.DataFrame, name: str, row: int) -> None:
+        topic, vehicle = batch["topic"][row], quoted(batch["vehicle_id"][row])
+        detail = f"{name} of vehicle {vehicle} on {quoted(topic)} is {batch[name][row]}; taken as unknown"
+        self._problems.add("not_finite", detail, self._offsets[row], topic)
+
     def table(self) -> pl.DataFrame:
         """Return the states with the columns of STATES_SCHEMA, in the order of the file."""
-        texts = pl.Series(list(self._texts), dtype=pl.String)
-        columns: dict[str, pl.Series] = {}
-        for name, codes in self._codes.items():
-            columns[name] = texts.gather(np.frombuffer(codes, dtype=np.int64)) if codes else texts.head(0)
-        for name, integers in self._ints.items():
-            columns[name] = pl.Series(np.array(integers, dtype=np.int64))
-        for name, floats in zip(_FLOATS, self._floats, strict=True):
-            columns[name] = pl.Series(np.array(floats, dtype=np.float64)).fill_nan(None)
-        columns["derived"] = pl.Series(np.zeros(len(self._floats[0]), dtype=np.uint8))
-        return conform(pl.DataFrame(columns), STATES_SCHEMA)
+        if self._rows:
+            self._close_batch()
+        states = pl.concat([pl.DataFrame(schema=_SCHEMA), *self._batches])
+        return conform(states.with_columns(derived=pl.lit(0)), STATES_SCHEMA)

@@ -15,7 +15,7 @@ from istc_replay.ingest.records import Buffer, ChunkHead
 CHUNK_LIMIT = 256 * 2**20
 
 #: What all chunks together may inflate to: so many bytes, and so many for each byte of the file.
-_TOTAL_FLOOR = 64 * 2**20
+_TOTAL_FLOOR = 32 * 2**20
 _TOTAL_RATIO = 100
 _WINDOW_LIMIT = 128 * 2**20
 
