@@ -50,7 +50,8 @@ class Track:
         last = len(self.times_s) - 1
         steps = self.times_s[np.clip(after, 0, last)] - self.times_s[np.clip(after - 1, 0, last)]
         outside = (times_s < self.times_s[0] - 1e-6) | (times_s > self.times_s[-1] + 1e-6)
-        poses[outside | (steps > self.longest_step_s)] = np.nan
+        in_gap = (steps > self.longest_step_s) & ~np.isin(times_s, self.times_s)
+        poses[outside | in_gap] = np.nan
         return poses
 
     def boxes(self, times_s: FloatArray) -> FloatArray:
