@@ -21,6 +21,8 @@ from istc_replay.errors import ExportError, UsageError
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
+    import polars as pl
+
     from istc_replay.datatypes import Certificate, Log, Result, WindowPlan
 
 _COMPONENTS = ("istc-replay", "casadi", "cbcbox", "daqp", "mcap", "numpy", "polars", "pyomo", "rerun-sdk")
@@ -146,8 +148,9 @@ def _certify(log: Log, plans: Sequence[WindowPlan], config: Config, timing: Stag
     toml = render_config(config)
     config_sha256 = hashlib.sha256(toml.encode()).hexdigest()
     provenance = {**versions(), "input_sha256": log.sha256, "config_sha256": config_sha256}
+    sized = _sized(log.states, plans)
     gaps = {
-        w.index: least_recorded_gap(log.states, w.start_ns, w.end_ns)
+        w.index: least_recorded_gap(sized, w.start_ns, w.end_ns)
         for w in (plan.scenario.window for plan in plans)
     }
 
@@ -170,6 +173,23 @@ def _certify(log: Log, plans: Sequence[WindowPlan], config: Config, timing: Stag
         result = read_result(data)
     summary["solves"] = solve_times(judged)
     return Replay(result, data, summary)
+
+
+def _sized(states: pl.DataFrame, plans: Sequence[WindowPlan]) -> pl.DataFrame:
+    """Recorded states with the sizes that the plans took for vehicles whose log tells none."""
+    import polars as pl
+
+    sizes = {p.vehicle_id: p.dimensions for plan in plans for p in plan.scenario.participants}
+    return states.with_columns(
+        pl.col(name).fill_null(
+            pl.col("vehicle_id").replace_strict(
+                {vehicle: getattr(size, name) for vehicle, size in sizes.items()},
+                default=None,
+                return_dtype=pl.Float64,
+            )
+        )
+        for name in ("length_m", "width_m")
+    )
 
 
 def _judged(plan: WindowPlan, certificates: Sequence[Certificate], verdict: Verdict) -> WindowPlan:

@@ -1,0 +1,311 @@
+"""The commands as a user calls them: what they print, what they write, how they fail."""
+
+from __future__ import annotations
+
+import json
+import os
+import resource
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import polars as pl
+import pytest
+
+from istc_replay.cli import cli
+
+ROOT = Path(__file__).resolve().parents[1]
+SAMPLES = sorted((ROOT / "sample_logs").glob("*.mcap"))
+TURN_FIRST = ROOT / "sample_logs" / "intersection_turn_first.mcap"
+
+#: Fast mode: the proof has its own tests.
+FAST = '[corridors]\nmode = "fast"\n'
+
+
+def call(
+    *arguments: str | Path, cwd: Path | None = None, **options: object
+) -> subprocess.CompletedProcess[str]:
+    """Run the command line in a process of its own."""
+    return subprocess.run(
+        [sys.executable, "-c", "from istc_replay.cli import main; main()", *map(str, arguments)],
+        capture_output=True,
+        text=True,
+        cwd=cwd,
+        timeout=300,
+        check=False,
+        env={**os.environ, "OMP_NUM_THREADS": "1"},
+        **options,  # type: ignore[call-overload]
+    )
+
+
+@pytest.fixture(scope="module")
+def replayed(tmp_path_factory: pytest.TempPathFactory) -> tuple[subprocess.CompletedProcess[str], Path]:
+    """Every sample log run in one call, and the folder of the results."""
+    output = tmp_path_factory.mktemp("results")
+    return call("run", *SAMPLES, "-o", output), output
+
+
+def test_help_names_every_command_with_an_example() -> None:
+    for name, command in cli.commands.items():
+        done = call(name, "--help")
+        assert done.returncode == 0
+        assert f"istc-replay {name}" in done.stdout.split("Example:")[1]
+        assert command.help
+
+
+def test_help_imports_nothing_heavy() -> None:
+    script = (
+        "import sys\nfrom istc_replay.cli import cli\ncli.main(['--help'], standalone_mode=False)\n"
+        "heavy = {'numpy', 'polars', 'casadi', 'pyomo', 'rerun', 'matplotlib', 'pydantic'}\n"
+        "print(sorted(heavy & set(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True, check=True)
+    assert done.stdout.strip().endswith("[]")
+
+
+def test_every_sample_log_is_certified_in_full(
+    replayed: tuple[subprocess.CompletedProcess[str], Path],
+) -> None:
+    done, output = replayed
+    assert done.returncode == 0, done.stderr
+    assert len(SAMPLES) >= 5
+    for log in SAMPLES:
+        folder = output / log.stem
+        assert {file.name for file in folder.iterdir()} == {
+            "result.mcap",
+            "view.rrd",
+            "report.html",
+            "summary.json",
+        }
+        summary = json.loads((folder / "summary.json").read_text())
+        totals = summary["totals"]
+        assert totals["vehicles_certified"] == totals["vehicles_plannable"] == totals["vehicles_present"] >= 3
+        assert [w["certificate"]["verdict"] for w in summary["windows"]] == ["pass"]
+        assert summary["windows"][0]["corridors"]["gap"] <= 1e-3
+        assert {"imports", "ingest", "corridors", "trajectories", "certificate", "view_rrd"} <= set(
+            summary["stages"]
+        )
+        assert f"{log.name}: {totals['vehicles_certified']} of" in done.stdout
+
+
+def test_the_plan_is_safe_where_the_recording_collides(
+    replayed: tuple[subprocess.CompletedProcess[str], Path],
+) -> None:
+    for log in SAMPLES:
+        if not log.stem.startswith("intersection"):
+            continue
+        window = json.loads((replayed[1] / log.stem / "summary.json").read_text())["windows"][0]
+        assert window["recorded"]["min_separation_m"] < 0.0
+        checks = {c["check"]: c for c in window["certificate"]["checks"]}
+        assert checks["separation"]["margin"] > 0.0
+
+
+def test_a_second_run_writes_the_same_result_byte_for_byte(
+    replayed: tuple[subprocess.CompletedProcess[str], Path], tmp_path: Path
+) -> None:
+    assert call("run", TURN_FIRST, "-o", tmp_path).returncode == 0
+    first, second = (folder / TURN_FIRST.stem / "result.mcap" for folder in (replayed[1], tmp_path))
+    assert first.read_bytes() == second.read_bytes()
+
+
+def test_the_view_verifies_with_reruns_own_tool(
+    replayed: tuple[subprocess.CompletedProcess[str], Path],
+) -> None:
+    for log in SAMPLES:
+        done = subprocess.run(
+            [sys.executable, "-m", "rerun_cli", "rrd", "verify", str(replayed[1] / log.stem / "view.rrd")],
+            capture_output=True,
+            text=True,
+            check=False,
+        )
+        assert done.returncode == 0, done.stderr
+
+
+def test_the_result_reads_with_the_reference_reader(
+    replayed: tuple[subprocess.CompletedProcess[str], Path],
+) -> None:
+    from mcap.reader import make_reader
+    from mcap_protobuf.decoder import DecoderFactory
+
+    with (replayed[1] / TURN_FIRST.stem / "result.mcap").open("rb") as file:
+        reader = make_reader(file, validate_crcs=True, decoder_factories=[DecoderFactory()])
+        topics = {channel.topic for _, channel, _, _ in reader.iter_decoded_messages()}
+    assert {
+        f"/istc/{kind}/{vehicle}" for kind in ("recorded", "planned", "guidance", "path") for vehicle in "123"
+    } <= topics
+    assert {
+        "/istc/corridors",
+        "/istc/obstacles",
+        "/istc/solves",
+        "/istc/certificates",
+        "/istc/scene",
+        "/tf",
+    } <= topics
+
+
+def test_info_tells_what_a_log_holds() -> None:
+    facts = json.loads(call("info", TURN_FIRST, "--json").stdout)
+    assert set(facts) == {
+        "path", "complete", "messages", "attachments", "metadata", "chunks", "start_ns", "end_ns",
+        "channels", "vehicles", "problems",
+    }  # fmt: skip
+    assert [v["id"] for v in facts["vehicles"]] == ["1", "2", "3"]
+    assert {v["states"] for v in facts["vehicles"]} == {101}
+    text = call("info", TURN_FIRST).stdout
+    assert "istc.v1.VehicleState" in text
+    assert "10.0" in text
+
+
+def test_export_writes_the_tables_of_a_log_and_of_a_result(
+    replayed: tuple[subprocess.CompletedProcess[str], Path], tmp_path: Path
+) -> None:
+    done = call("export", replayed[1] / TURN_FIRST.stem, "-o", tmp_path / "result", "--format", "parquet,csv")
+    assert done.returncode == 0, done.stderr
+    states = pl.read_parquet(tmp_path / "result" / "states.parquet")
+    assert set(states["source"].unique()) == {"recorded", "planned", "guidance"}
+    assert pl.read_parquet(tmp_path / "result" / "solves.parquet")["wall_s"].null_count() == 0
+    assert (tmp_path / "result" / "corridors.csv").is_file()
+    assert call("export", TURN_FIRST, "-o", tmp_path / "log").returncode == 0
+    recorded = pl.read_parquet(tmp_path / "log" / "states.parquet")
+    assert recorded.height == 303
+
+
+def test_sample_writes_a_log_that_replays(tmp_path: Path) -> None:
+    out = tmp_path / "again.mcap"
+    assert call("sample", "intersection_turn_first", out).returncode == 0
+    assert out.read_bytes() == TURN_FIRST.read_bytes()
+
+
+def test_the_explained_configuration_is_a_configuration(tmp_path: Path) -> None:
+    file = tmp_path / "my.toml"
+    file.write_text(call("config").stdout)
+    done = call("config", file)
+    assert done.returncode == 0
+    assert done.stdout == file.read_text()
+    assert json.loads(call("config", "--schema").stdout) == json.loads(
+        (ROOT / "schemas" / "config.schema.json").read_text()
+    )
+
+
+def test_view_saves_the_view_of_a_result(
+    replayed: tuple[subprocess.CompletedProcess[str], Path], tmp_path: Path
+) -> None:
+    out = tmp_path / "again.rrd"
+    assert call("view", replayed[1] / TURN_FIRST.stem / "result.mcap", "--save", out).returncode == 0
+    assert out.stat().st_size > 10_000
+
+
+def test_view_without_a_screen_says_what_to_do(
+    replayed: tuple[subprocess.CompletedProcess[str], Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    done = call("view", replayed[1] / TURN_FIRST.stem)
+    assert done.returncode == 2
+    assert "--save" in done.stderr
+
+
+# --- bad input -------------------------------------------------------------------------------
+
+
+def failed(done: subprocess.CompletedProcess[str], code: int, *words: str) -> None:
+    """One line on stderr that says so, the right exit code, and no traceback."""
+    assert done.returncode == code, (done.stdout, done.stderr)
+    lines = done.stderr.strip().splitlines()
+    assert len(lines) == 1, done.stderr
+    for word in words:
+        assert word in lines[0]
+
+
+def test_a_missing_log_is_one_line(tmp_path: Path) -> None:
+    failed(call("run", tmp_path / "none.mcap", "-o", tmp_path), 3, "none.mcap", "no such file")
+
+
+def test_a_file_that_is_no_mcap_is_one_line(tmp_path: Path) -> None:
+    text = tmp_path / "text.mcap"
+    text.write_text("hello\n")
+    failed(call("run", text, "-o", tmp_path / "out"), 3, "text.mcap", "not an MCAP")
+
+
+def test_an_unknown_config_key_names_the_known_ones(tmp_path: Path) -> None:
+    config = tmp_path / "c.toml"
+    config.write_text("[corridors]\narea_wait = 1\n")
+    failed(call("run", TURN_FIRST, "-c", config, "-o", tmp_path), 2, "corridors.area_wait", "area_weight")
+    config.write_text('[corridors]\narea_weight = "much"\n')
+    failed(call("config", config), 2, "corridors.area_weight", "'much'")
+
+
+def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("")
+    failed(call("run", TURN_FIRST, "-o", tmp_path / "file" / "out"), 2, "cannot be written")
+
+
+def test_two_logs_for_one_folder_are_refused(tmp_path: Path) -> None:
+    copy = tmp_path / TURN_FIRST.name
+    copy.write_bytes(TURN_FIRST.read_bytes())
+    failed(call("run", TURN_FIRST, copy, "-o", tmp_path), 2, "another log writes to")
+
+
+def test_an_unknown_sample_names_the_known_ones(tmp_path: Path) -> None:
+    failed(call("sample", "nowhere", tmp_path / "x.mcap"), 2, "nowhere", "intersection_turn_first")
+    failed(call("sample", str(tmp_path / "none.json"), tmp_path / "x.mcap"), 3, "none.json")
+
+
+def test_an_unknown_table_format_is_refused(tmp_path: Path) -> None:
+    failed(call("export", TURN_FIRST, "-o", tmp_path, "--format", "xls"), 2, "xls", "parquet")
+
+
+def test_a_log_is_no_result(tmp_path: Path) -> None:
+    failed(call("view", TURN_FIRST, "--save", tmp_path / "v.rrd"), 3, "not a result")
+
+
+def test_a_truncated_log_is_replayed_as_far_as_it_goes(tmp_path: Path) -> None:
+    # Unchunked, so that a cut in the middle leaves the first half of every vehicle.
+    from mcap.reader import make_reader
+    from mcap.writer import Writer
+
+    cut = tmp_path / "cut.mcap"
+    with TURN_FIRST.open("rb") as source, cut.open("wb") as target:
+        writer = Writer(target, use_chunking=False)
+        writer.start()
+        ids: dict[int, int] = {}
+        for schema, channel, message in make_reader(source).iter_messages():
+            if channel.id not in ids:
+                schema_id = writer.register_schema(schema.name, schema.encoding, schema.data)
+                ids[channel.id] = writer.register_channel(channel.topic, channel.message_encoding, schema_id)
+            writer.add_message(ids[channel.id], message.log_time, message.data, message.publish_time)
+        writer.finish()
+    cut.write_bytes(cut.read_bytes()[: cut.stat().st_size * 6 // 10])
+    config = tmp_path / "c.toml"
+    config.write_text(FAST)
+    done = call("run", cut, "-c", config, "-o", tmp_path)
+    assert done.returncode == 3, done.stderr
+    summary = json.loads((tmp_path / "cut" / "summary.json").read_text())
+    assert not summary["input"]["complete"]
+    assert any("truncated" in p["code"] for p in summary["input"]["problems"])
+    assert summary["totals"]["vehicles_certified"] == 3
+    assert 4 <= summary["windows"][0]["units"] <= 7
+
+
+def test_a_full_disk_leaves_nothing_half_written(tmp_path: Path) -> None:
+    config = tmp_path / "c.toml"
+    config.write_text(FAST)
+
+    def limited() -> None:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000))
+
+    done = call("run", TURN_FIRST, "-c", config, "-o", tmp_path / "out", preexec_fn=limited)
+    assert done.returncode in (2, 4), (done.stdout, done.stderr)
+    assert len(done.stderr.strip().splitlines()) == 1
+    assert list((tmp_path / "out" / TURN_FIRST.stem).iterdir()) == []
+
+
+def test_nasty_names_are_shown_not_obeyed(tmp_path: Path) -> None:
+    name = "a\x1b[31m\nb.mcap"
+    (tmp_path / name).write_bytes(b"")
+    done = call("info", tmp_path / name)
+    assert done.returncode == 3
+    assert "\x1b" not in done.stderr
+    assert len(done.stderr.strip().splitlines()) == 1
