@@ -137,6 +137,17 @@ def test_dense_sampling_never_leaves_a_corridor_that_was_proven(kit: SimpleNames
         assert least.proven >= -1e-6
 
 
+def test_a_gap_that_is_widest_in_the_middle_is_bounded_by_the_accelerations(kit: SimpleNamespace) -> None:
+    # In the middle of the only step the relative speed is zero: 5 m/s against 6 m/s and braking.
+    behind = kit.straight_car("a", 0.0, 0.0, 0.0, 5.0, 1)
+    ahead = kit.Car("b", np.array([8.0, 0.0, 0.0, 0.0, 6.0, -10.0]), np.zeros((1, 2)), 0.2)
+    case = case_of(kit.Scene([behind, ahead], unit_s=0.2))
+    least = least_gap(moving_bodies(case.motion), None, case.motion.edges_s, 0.0, 0.0)
+    truth = 8.0 + 1.35 - 4.5
+    assert least.proven <= truth
+    assert least.found == pytest.approx(truth, abs=1e-3)
+
+
 def test_parallel_traffic_is_proven_at_any_gap(kit: SimpleNamespace) -> None:
     cars = [kit.straight_car(f"v{i}", 2.0 * i, i * (1.9 + 1e-6), 0.0, 8.0, 40) for i in range(4)]
     case = case_of(kit.Scene(cars))
