@@ -1,0 +1,190 @@
+"""Plan one vehicle through its corridor: hard NLP, continuous-time check, soft twin as diagnosis."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from istc_replay.config import TrajectoriesConfig
+from istc_replay.datatypes import (
+    Corridor,
+    FloatArray,
+    Guidance,
+    Participant,
+    SolveRecord,
+    Trajectory,
+    Undrivable,
+    read_only,
+)
+from istc_replay.trajectories.nlp import COSTS, CorridorNlp, NlpSolution
+from istc_replay.trajectories.task import WALLS, Task
+from istc_replay.trajectories.walls import SIDES, Grid, box_extents, excess, raised
+
+#: What a soft solution may stick out by and still count as touching [m].
+_NEARLY_INSIDE_M = 1e-3
+#: Rounding allowed when the continuous-time check judges a wall [m].
+_TOUCHING_M = 1e-6
+#: How often margins are raised where the car-box leaves a cube between wall instants.
+_REFINEMENTS = 4
+
+
+@dataclass(frozen=True, slots=True)
+class TrajectoryOutcome:
+    """Either a trajectory or why there is none, and every solve on the way."""
+
+    trajectory: Trajectory | None
+    undrivable: Undrivable | None
+    records: tuple[SolveRecord, ...]
+
+
+class TrajectoryPlanner:
+    """Plans in-corridor trajectories, eq. (16), one vehicle at a time.
+
+    Keeps one compiled NLP (and its soft twin) a horizon length, shared by all vehicles. The same
+    input gives the same trajectory, whatever was planned before.
+
+    Parameters
+    ----------
+    config : TrajectoriesConfig
+    unit_s : float
+        Length of a time unit [s]; control intervals are the longest that divide it and are at
+        most `config.step_s`.
+    """
+
+    def __init__(self, config: TrajectoriesConfig, unit_s: float) -> None:
+        self._config = config
+        self._unit_s = unit_s
+        self._compiled: dict[tuple[int, bool], CorridorNlp] = {}
+
+    def plan(
+        self, participant: Participant, corridor: Corridor, guidance: Guidance, speed_max_mps: float
+    ) -> TrajectoryOutcome:
+        """Plan one vehicle.
+
+        Parameters
+        ----------
+        participant : Participant
+            Dimensions and start state (box centre).
+        corridor : Corridor
+            K cubes and K+1 pivotal points.
+        guidance : Guidance
+            Its K+1 headings make the first guess.
+        speed_max_mps : float
+            Largest speed.
+
+        Returns
+        -------
+        TrajectoryOutcome
+            A trajectory whose car-box stays in its cubes in continuous time (with the paper's
+            Euler integrator: at the knots), or the diagnosis by the soft twin.
+
+        Raises
+        ------
+        SolveError
+            If shapes do not match or a number is not finite.
+        """
+        grid = Grid.cut(len(corridor.cubes_m), self._unit_s, self._config)
+        task = Task.of(participant, corridor, guidance, grid, speed_max_mps)
+        fault = task.start_fault(self._config)
+        if fault is not None:
+            return TrajectoryOutcome(None, fault, ())
+        records: list[SolveRecord] = []
+        margin = self._config.margin_m
+        found = self._drive(task, margin, task.first_guess(self._config), records)
+        if found is None:
+            soft = self._soften(task, margin, records)
+            out = self._excess(task, soft)
+            # The soft solution kept the margin as well: what is short of that may fit without it.
+            if out.max() <= max(margin, _NEARLY_INSIDE_M):
+                found = self._drive(task, 0.0, (soft.states, soft.controls), records)
+            if found is None:
+                return TrajectoryOutcome(None, _diagnosis(task, soft, out), tuple(records))
+        return TrajectoryOutcome(_trajectory(task, found), None, tuple(records))
+
+    def _drive(
+        self, task: Task, margin_m: float, guess: tuple[FloatArray, FloatArray], records: list[SolveRecord]
+    ) -> NlpSolution | None:
+        """Solve the hard NLP until the car-box stays inside in continuous time; None where it fails."""
+        extra = np.zeros((len(task.grid.wall_units), 4))
+        for _ in range(1 + _REFINEMENTS):
+            data = task.data(self._config, margin_m, extra)
+            if (data.walls_m[:, ::2] > data.walls_m[:, 1::2]).any():
+                return None  # adjacent cubes do not even meet
+            solution = self._nlp(task.grid, soft=False).solve(data, *guess)
+            records.append(self._record(task, "nlp", solution))
+            if not solution.solved:
+                return None
+            out = self._excess(task, solution)
+            if out.max() <= _TOUCHING_M:
+                return solution
+            extra = raised(task.grid, extra, out)
+            guess = (solution.states, solution.controls)
+        return None
+
+    def _soften(self, task: Task, margin_m: float, records: list[SolveRecord]) -> NlpSolution:
+        data = task.data(self._config, margin_m, np.zeros((len(task.grid.wall_units), 4)))
+        solution = self._nlp(task.grid, soft=True).solve(data, *task.first_guess(self._config))
+        records.append(self._record(task, "soft", solution))
+        return solution
+
+    def _excess(self, task: Task, solution: NlpSolution) -> FloatArray:
+        """How far the car-box sticks out (S-1, 4): in continuous time, with Euler at the knots."""
+        if self._config.integrator == "rk4":
+            return excess(task.grid, solution.states[0], solution.controls, task.dimensions, task.cubes_m)
+        x, y, heading = solution.states[1:, :3].T
+        reach = task.dimensions.rear_axle_to_centre_m
+        centres = np.column_stack([x + reach * np.cos(heading), y + reach * np.sin(heading)])
+        out = SIDES * (
+            box_extents(centres, heading, task.dimensions) - np.repeat(task.cubes_m, task.grid.per_unit, 0)
+        )
+        return np.asarray(out)
+
+    def _nlp(self, grid: Grid, *, soft: bool) -> CorridorNlp:
+        key = (grid.units, soft)
+        if key not in self._compiled:
+            self._compiled[key] = CorridorNlp(grid, self._config, soft)
+        return self._compiled[key]
+
+    def _record(self, task: Task, stage: str, solution: NlpSolution) -> SolveRecord:
+        drift = "; explicit Euler drifts from the true motion" if self._config.integrator == "euler" else ""
+        return SolveRecord(
+            layer="trajectory",
+            stage=stage,
+            solver="ipopt",
+            status=solution.status,
+            vehicle_id=task.vehicle_id,
+            objective=solution.objective,
+            wall_s=solution.wall_s,
+            iterations=solution.iterations,
+            detail=solution.reason + drift,
+        )
+
+
+def _trajectory(task: Task, solution: NlpSolution) -> Trajectory:
+    states = solution.states.copy()
+    states[:, :2] += task.origin_m
+    start_s = task.first_unit * task.grid.unit_s
+    return Trajectory(
+        vehicle_id=task.vehicle_id,
+        dimensions=task.dimensions,
+        times_s=read_only(start_s + task.grid.knots_s),
+        states=read_only(states),
+        controls=read_only(solution.controls),
+        cost=sum(solution.costs),
+        costs=dict(zip(COSTS, solution.costs, strict=True)),
+    )
+
+
+def _diagnosis(task: Task, soft: NlpSolution, out_m: FloatArray) -> Undrivable:
+    """Where the soft trajectory sticks out most, and how far."""
+    interval, wall = np.unravel_index(int(np.argmax(out_m)), out_m.shape)
+    row = int(interval) // task.grid.per_unit
+    slack = max(0.0, float(out_m.max()))
+    if not soft.solved:
+        detail = f"no trajectory found, not even one that may leave its cubes ({soft.reason})"
+    elif slack <= _NEARLY_INSIDE_M:
+        detail = f"no trajectory found that keeps the car-box inside; the nearest touches {WALLS[wall]}"
+    else:
+        detail = f"the car-box would stick out of its cube by {slack:.3f} m at {WALLS[wall]}"
+    return task.undrivable(row, slack, detail)

@@ -1,0 +1,158 @@
+"""The walls of a corridor around a car-box, eq. (19): at instants, and in continuous time.
+
+Walls are the columns x_min, x_max, y_min, y_max. Each cube holds on its closed unit, so that at
+a unit boundary the car-box lies in both cubes.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from istc_replay.bicycle import dense_motion
+from istc_replay.config import TrajectoriesConfig
+from istc_replay.datatypes import Dimensions, FloatArray
+from istc_replay.geometry import box_corners, shift_along
+
+#: +1 for a wall that bounds from above, -1 for one that bounds from below.
+SIDES = np.array([-1.0, 1.0, -1.0, 1.0])
+#: Spacing of the samples that the continuous-time check bounds the motion between.
+_DENSE_S = 0.01
+
+
+@dataclass(frozen=True, slots=True)
+class Grid:
+    """The instants of one NLP: `units` of `per_unit` control intervals, walls at `points` of each."""
+
+    units: int
+    per_unit: int
+    step_s: float
+    points: int  # of a control interval at which walls are held: its end, or its middle and end
+
+    @classmethod
+    def cut(cls, units: int, unit_s: float, config: TrajectoriesConfig) -> Grid:
+        """Cut units into the longest control intervals that are at most `config.step_s`."""
+        per_unit = math.ceil(unit_s / config.step_s - 1e-9)
+        return cls(units, per_unit, unit_s / per_unit, 2 if config.integrator == "rk4" else 1)
+
+    @property
+    def intervals(self) -> int:
+        """Control intervals."""
+        return self.units * self.per_unit
+
+    @property
+    def unit_s(self) -> float:
+        """Length of a time unit [s]."""
+        return float(self.per_unit * self.step_s)
+
+    @property
+    def knots_s(self) -> FloatArray:
+        """(S,) ends of the control intervals [s], the first 0."""
+        return np.asarray(np.arange(self.intervals + 1) * self.step_s, dtype=np.float64)
+
+    @property
+    def wall_units(self) -> FloatArray:
+        """(P,) instants at which walls are held, in time units, without the fixed start."""
+        return np.asarray(np.arange(1, self.intervals * self.points + 1) / (self.per_unit * self.points))
+
+
+def box_extents(centres_m: FloatArray, headings_rad: FloatArray, dimensions: Dimensions) -> FloatArray:
+    """Axis-aligned extents (..., 4) of car-boxes at centres (..., 2)."""
+    corners = box_corners(
+        centres_m[..., 0], centres_m[..., 1], headings_rad, dimensions.length_m, dimensions.width_m
+    )
+    return _extents(corners)
+
+
+def base_margins(
+    cubes_m: FloatArray,
+    pivots_m: FloatArray,
+    headings_rad: FloatArray,
+    dimensions: Dimensions,
+    margin_m: float,
+) -> FloatArray:
+    """Margins (K, 4) that leave the car-boxes at the pivotal points inside.
+
+    Half of what these boxes have left to each wall, at most `margin_m`: a least cube around a
+    standing car, or a start box that touches a wall, must not make the NLP infeasible.
+    """
+    boxes = box_extents(pivots_m, headings_rad, dimensions)
+    room = SIDES * (cubes_m[:, None, :] - np.stack([boxes[:-1], boxes[1:]], axis=1))  # (K, 2, 4)
+    return np.asarray(np.clip(room.min(axis=1) / 2, 0.0, margin_m))
+
+
+def walls_at(grid: Grid, cubes_m: FloatArray, margins_m: FloatArray, extra_m: FloatArray) -> FloatArray:
+    """Walls (P, 4) at the grid's wall instants: the tighter of both cubes at a unit boundary.
+
+    `margins_m` (K, 4) and `extra_m` (P, 4) are taken off the cubes.
+    """
+    inset = SIDES * (cubes_m - SIDES * margins_m)  # (K, 4), smaller is tighter
+    later = np.minimum(np.floor(grid.wall_units + 1e-9).astype(int), grid.units - 1)
+    earlier = np.ceil(grid.wall_units - 1e-9).astype(int) - 1
+    return np.asarray(SIDES * (np.minimum(inset[earlier], inset[later]) - extra_m))
+
+
+def excess(
+    grid: Grid, start: FloatArray, controls: FloatArray, dimensions: Dimensions, cubes_m: FloatArray
+) -> FloatArray:
+    """How far the car-box can stick out of its cubes, in continuous time.
+
+    Between two samples a corner leaves its chord by at most M s (h - s) / 2, with
+    M = |a| + |v w| + r (|w'| + w^2) bounding its acceleration.
+
+    Parameters
+    ----------
+    grid : Grid
+    start : ndarray
+        (6,) first state of the rear axle.
+    controls : ndarray
+        (S-1, 2) held controls.
+    dimensions : Dimensions
+    cubes_m : ndarray
+        (K, 4).
+
+    Returns
+    -------
+    ndarray
+        (S-1, 4) an upper bound for each control interval and wall [m], negative inside.
+    """
+    states, rates, h = dense_motion(start, controls, grid.step_s, dimensions.wheelbase_m, _DENSE_S)
+    centres = shift_along(states[..., 0], states[..., 1], states[..., 2], dimensions.rear_axle_to_centre_m)
+    corners = box_corners(
+        centres[..., 0], centres[..., 1], states[..., 2], dimensions.length_m, dimensions.width_m
+    )  # (S-1, m+1, 4, 2)
+    reach = math.hypot(
+        abs(dimensions.rear_axle_to_centre_m) + dimensions.length_m / 2, dimensions.width_m / 2
+    )
+    v, a, w, slope = states[..., 4], states[..., 5], rates[..., 0], rates[..., 1]
+    bend = np.abs(a) + np.abs(v * w) + reach * (np.abs(slope) + w**2)
+    bend = np.maximum(bend[:, :-1], bend[:, 1:])[..., None, None]  # (S-1, m, 1, 1)
+    out = np.repeat(corners, 2, axis=-1) * SIDES  # (S-1, m+1, 4, 4), outward is positive
+    furthest = _arc_top(out[:, :-1], out[:, 1:], bend, h).max(axis=(1, 2))  # (S-1, 4)
+    cubes = np.repeat(cubes_m, grid.per_unit, axis=0)
+    return np.asarray(furthest - SIDES * cubes)
+
+
+def raised(grid: Grid, extra_m: FloatArray, excess_m: FloatArray) -> FloatArray:
+    """Extra margins (P, 4) where an interval's excess asks for them, at its wall instants."""
+    need = np.where(excess_m > 0.0, 1.2 * excess_m + 5e-4, 0.0)
+    here = np.repeat(need, grid.points, axis=0)
+    before = np.vstack([need[1:], need[-1:] * 0.0])
+    here[grid.points - 1 :: grid.points] = np.maximum(need, before)  # an interval's end starts the next
+    return np.asarray(extra_m + here)
+
+
+def _extents(corners_m: FloatArray) -> FloatArray:
+    low, high = corners_m.min(axis=-2), corners_m.max(axis=-2)
+    return np.stack([low[..., 0], high[..., 0], low[..., 1], high[..., 1]], axis=-1)
+
+
+def _arc_top(c0: FloatArray, c1: FloatArray, bend: FloatArray, h: float) -> FloatArray:
+    """Highest value of a chord from c0 to c1 plus bend s (h - s) / 2 over s in [0, h]."""
+    rise = np.abs(c1 - c0)
+    sag = bend * (h * h / 2)
+    safe = np.where(sag > 0.0, sag, 1.0)
+    arc = (c0 + c1) / 2 + sag / 4 + rise**2 / (4 * safe)
+    return np.where(rise < sag, arc, np.maximum(c0, c1))
