@@ -18,6 +18,7 @@ from istc_replay.samples.paths import Curve, Pose, smooth_curve
 _SIGNS = {"L": 1.0, "R": -1.0, "S": 0.0}
 _NEWTON_ROUNDS = 25
 _END_TOLERANCE = 1e-10
+_SAME = 1e-9
 
 #: Normalised lengths t, p, q of the three arcs (radius 1), or None where the word does not exist.
 Lengths = tuple[float, float, float] | None
@@ -95,16 +96,20 @@ def _turn(angle_rad: float) -> float:
 
 def _lsl(a: float, b: float, d: float) -> Lengths:
     x, y = d + math.sin(a) - math.sin(b), math.cos(b) - math.cos(a)
+    p = math.hypot(x, y)
+    if p < _SAME:
+        # Start and goal lie on one circle: the straight arc has no direction.
+        return _turn(b - a), 0.0, 0.0
     heading = math.atan2(y, x)
-    return _turn(heading - a), math.hypot(x, y), _turn(b - heading)
+    return _turn(heading - a), p, _turn(b - heading)
 
 
 def _lsr(a: float, b: float, d: float) -> Lengths:
     x, y = d + math.sin(a) + math.sin(b), -math.cos(a) - math.cos(b)
     square = x * x + y * y - 4.0
-    if square < 0.0:
+    if square < -_SAME:
         return None
-    p = math.sqrt(square)
+    p = math.sqrt(max(square, 0.0))
     heading = math.atan2(y, x) - math.atan2(-2.0, p)
     return _turn(heading - a), p, _turn(heading - b)
 
