@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+import polars as pl
 import pytest
 
 from istc_replay.audit.boxes import box_gap
@@ -146,6 +148,35 @@ def test_a_gap_that_is_widest_in_the_middle_is_bounded_by_the_accelerations(kit:
     truth = 8.0 + 1.35 - 4.5
     assert least.proven <= truth
     assert least.found == pytest.approx(truth, abs=1e-3)
+
+
+def test_a_pair_that_is_far_in_the_middle_of_a_step_is_not_left_out(kit: SimpleNamespace) -> None:
+    cars = [
+        kit.straight_car("a", 0.0, 0.0, 0.0, 0.0, 1, 1.0),
+        kit.straight_car("b", 0.0, 10.0, 0.0, 0.0, 1, 1.0),  # 8.1 m from a, all the time
+        kit.straight_car("c", 100.0, 0.0, 0.0, 5.0, 1, 1.0),
+        kit.straight_car("d", 120.0, 0.0, np.pi, 5.0, 1, 1.0),  # 5.5 m from c, at the end
+    ]
+    case = case_of(kit.Scene(cars))
+    least = least_gap(moving_bodies(case.motion), None, case.motion.edges_s, 0.0, 0.0)
+    assert (least.first, least.second) == (2, 3)
+    assert least.found == pytest.approx(5.5, abs=1e-3)
+
+
+def test_knots_a_rounding_off_a_boundary_are_on_it(kit: SimpleNamespace) -> None:
+    scene = kit.Scene([kit.straight_car("a", 0, 0, 0, 5.0, 10)])
+    result = scene.result()
+    for late_ns in (-700, 700):
+        late = (
+            pl.when(pl.col("source") == "planned")
+            .then(pl.col("time_ns") + late_ns)
+            .otherwise(pl.col("time_ns"))
+        )
+        moved = replace(result, states=result.states.with_columns(late.alias("time_ns")))
+        case = build_case(next(written_plans(moved)), {}, None, Config())
+        assert case is not None
+        assert case.motion.present.all()
+        assert (case.units >= 0).all()
 
 
 def test_parallel_traffic_is_proven_at_any_gap(kit: SimpleNamespace) -> None:
