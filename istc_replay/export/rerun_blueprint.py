@@ -18,7 +18,7 @@ def blueprint() -> rrb.Blueprint:
         _space_time_tabs(),
         _above_tabs(),
         rrb.Vertical(
-            rrb.TextDocumentView(name="report", origin="/report"),
+            rrb.TextDocumentView(name="report", origin="/report", contents=["/report/**"]),
             _events(),
             row_shares=[3, 2],
         ),
@@ -85,6 +85,7 @@ def _events() -> rrb.TextLogView:
     return rrb.TextLogView(
         name="events",
         origin="/events",
+        contents=["/events/**"],
         columns=rrb.TextLogColumns(timeline_columns=["scenario_time"], text_log_columns=["loglevel", "body"]),
     )
 
@@ -110,8 +111,13 @@ def _plot_tabs(signal: str, name: str) -> rrb.Tabs:
 
 def _state_tabs() -> rrb.Tabs:
     return rrb.Tabs(
-        rrb.StateTimelineView(name="states", origin="/states", time_view=rrb.TimeAxis(link=_LINKED)),
-        rrb.GraphView(name="precedence", origin="/precedence"),
+        rrb.StateTimelineView(
+            name="states",
+            origin="/states",
+            contents=["/states/**"],
+            time_view=rrb.TimeAxis(link=_LINKED),
+        ),
+        rrb.GraphView(name="precedence", origin="/precedence", contents=["/precedence/**"]),
         _plot("steering", "steering [rad]"),
         _plot("jerk", "jerk [m/s³]"),
     )

@@ -27,6 +27,8 @@ CHUNK_BYTES = 384 * 1024
 FOREVER_NS = int(np.iinfo(np.int64).max)
 
 _LABEL_LENGTH = 40
+#: A row's identity and its three times.
+_INDEX_BYTES = 48.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -115,7 +117,7 @@ def shown(
     columns : callable
         Give the component columns of a slice of rows.
     row_bytes : float
-        Mean size of a row, to keep chunks small.
+        Mean size of a row's values, to keep chunks small.
     """
     times, ends = np.asarray(times_ns, dtype=np.int64), np.asarray(ends_ns, dtype=np.int64)
     chunks = []
@@ -126,7 +128,7 @@ def shown(
         units = np.maximum(clock.units(ends[cleared]), clock.units(times[cleared]) + 1)
         flags = rr.Clear.columns(is_recursive=np.zeros(len(units), dtype=bool))
         chunks.append(Chunk.from_columns(path, clock.columns(ends[cleared], units), flags))
-    size = int(max(1, min(CHUNK_ROWS, CHUNK_BYTES // max(1.0, row_bytes))))
+    size = int(max(1, min(CHUNK_ROWS, CHUNK_BYTES // (row_bytes + _INDEX_BYTES))))
     for start in range(0, len(times), size):
         rows = slice(start, min(start + size, len(times)))
         own = [column for group in columns for column in group(rows)]

@@ -80,7 +80,7 @@ def _limits(stage: Stage) -> list[Chunk]:
         "jerk": (-limits.jerk_max_mps3, limits.jerk_max_mps3),
         "clearance": (0.0, stage.config.corridors.vehicle_gap_m),
     }
-    times = [time for span in stage.spans for time in (span.start_ns, span.shown_end_ns - 1)]
+    times = [time for span in stage.spans for time in (span.start_ns, span.shown_end_ns)]
     lines = {name: np.tile(pair, len(times)) for name, pair in bounds.items()}
     lines["speed"] = np.ravel([(0.0, speed_limit_mps(stage, span)) * 2 for span in stage.spans])
     style = rr.SeriesLines.columns(names=["limit"] * 2, colors=[LANE] * 2, widths=[1.0] * 2).partition([2])
@@ -127,7 +127,7 @@ def _clearances(stage: Stage, found: list[Clearance]) -> list[Chunk]:
             own = [c for c in found if c.pair == pair and c.source == source]
             if not own:
                 continue
-            times = np.concatenate([np.append(c.times_ns, c.times_ns[-1] + 1) for c in own])
+            times = np.concatenate([np.append(c.times_ns, c.times_ns[-1]) for c in own])
             gaps = np.concatenate([np.append(c.gaps_m, np.nan) for c in own])
             gaps[gaps > HORIZON_M] = np.nan
             name = " / ".join(stage.names[vehicle_id] for vehicle_id in pair)

@@ -45,7 +45,7 @@ class Span:
 
 def _spans(windows: list[dict[str, Any]]) -> tuple[Span, ...]:
     ordered = sorted(windows, key=lambda w: (w["start_ns"], w["index"]))
-    nexts = [w["start_ns"] for w in ordered[1:]] + [FOREVER_NS]
+    nexts = [*(w["start_ns"] for w in ordered), FOREVER_NS][1:]
     return tuple(
         Span(
             index=w["index"],

@@ -82,7 +82,9 @@ def _clearance_lines(stage: Stage, span: Span, found: list[Clearance]) -> str:
             at_s = (int(least.times_ns[int(np.nanargmin(least.gaps_m))]) - stage.clock.origin_ns) / 1e9
             pair = " and ".join(escaped(stage.names[vehicle_id]) for vehicle_id in least.pair)
             verb = "**overlap** by" if least.least_m < 0.0 else "are never closer than"
-            lines.append(f"- As {source}, vehicles {pair} {verb} {abs(least.least_m):.2f} m (at {at_s:.1f} s).")
+            lines.append(
+                f"- As {source}, vehicles {pair} {verb} {abs(least.least_m):.2f} m (at {at_s:.1f} s)."
+            )
     return "\n".join(lines)
 
 
@@ -276,7 +278,7 @@ def _yield_events(stage: Stage) -> list[Event]:
             start,
             "manoeuvres",
             "INFO",
-            f"{stage.names[vehicle_id]} {verbs[state]} for {(end - start) / 1e9:.1f} s",
+            f"vehicle {stage.names[vehicle_id]} {verbs[state]} for {(end - start) / 1e9:.1f} s",
         )
         for vehicle_id in stage.vehicle_ids
         for start, end, state in manoeuvres(stage, vehicle_id)

@@ -1,0 +1,278 @@
+"""The file of the Rerun view: whole, small, repeatable, and safe against names."""
+
+from __future__ import annotations
+
+import hashlib
+import itertools
+import subprocess
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+from rerun.chunk import RrdReader
+
+from istc_replay.config import ViewConfig
+from istc_replay.datatypes import LaneLine, Result, StaticScene, read_only
+from istc_replay.errors import ExportError
+from istc_replay.export import rerun_view
+from istc_replay.export.rerun_chunks import CHUNK_BYTES, CHUNK_ROWS, entity, label
+from istc_replay.export.rerun_view import (
+    recording_id,
+    save_view,
+    show_native,
+    show_view,
+    view_chunks,
+    write_view,
+)
+from istc_replay.states import RESULT_STATES_SCHEMA, conform
+
+S = 1_000_000_000
+
+Rows = list[dict[str, Any]]
+View = Callable[[Result], dict[str, Rows]]
+ByEntity = Callable[[Any], dict[str, Rows]]
+
+
+def holding(rows: Rows, component: str) -> Rows:
+    """The rows, in time, that carry a component."""
+    return sorted((r for r in rows if r.get(component) is not None), key=lambda r: r.get("time", 0))
+
+
+# --- the file --------------------------------------------------------------------------------
+
+
+def test_the_same_result_gives_the_same_rows(synthetic_result: Result, view_of: View) -> None:
+    def digest() -> str:
+        rows = view_of(synthetic_result)
+        for row in itertools.chain.from_iterable(rows.values()):
+            del row["rerun.controls.RowId"]
+        return hashlib.sha256(repr(rows).encode()).hexdigest()
+
+    assert digest() == digest()
+
+
+def test_the_recording_is_the_run(synthetic_result: Result, rrd: Path) -> None:
+    (recording,) = RrdReader(rrd).recordings()
+    assert recording.application_id == "istc-replay"
+    assert recording.recording_id == recording_id(synthetic_result)
+    other = replace(synthetic_result, config_toml="[window]\nunit_s = 0.5\n")
+    assert recording_id(other) != recording_id(synthetic_result)
+
+
+def test_reruns_own_check_finds_the_file_whole(rrd: Path) -> None:
+    subprocess.run([sys.executable, "-m", "rerun_cli", "rrd", "verify", str(rrd)], check=True)
+
+
+def test_the_layout_asks_for_whole_subtrees_that_exist(
+    rrd: Path, synthetic_result: Result, rows_by_entity: ByEntity, view_of: View
+) -> None:
+    reader = RrdReader(rrd)
+    (layout,) = reader.blueprints()
+    rows = rows_by_entity(reader.stream(store=layout).to_chunks())
+    queries = [q for own in rows.values() for row in own for q in row.get("ViewContents:query") or []]
+    assert len(queries) > 20
+    states = synthetic_result.states.with_columns(pl.col("acceleration_mps2").fill_null(0.0))
+    entities = view_of(replace(synthetic_result, states=states))
+    for query in queries:
+        assert query.startswith("/")
+        assert query.endswith("/**")
+        root = query.removesuffix("/**")
+        assert "*" not in root
+        assert any(path == root or path.startswith(f"{root}/") for path in entities), query
+
+
+def test_the_layout_knows_no_scenario() -> None:
+    source = Path(rerun_view.__file__).with_name("rerun_blueprint.py").read_text(encoding="utf-8")
+    assert "Result" not in source
+    assert "stage" not in source.lower()
+
+
+def test_chunks_are_small(synthetic_result: Result) -> None:
+    long = pl.concat(
+        [
+            synthetic_result.states.with_columns(pl.col("time_ns") + n * 6 * S, window=pl.lit(n, pl.Int32))
+            for n in range(100)
+        ]
+    )
+    first = synthetic_result.summary["windows"][0]
+    windows = [
+        {
+            **first,
+            "index": n,
+            "start_ns": first["start_ns"] + 6 * n * S,
+            "end_ns": first["end_ns"] + 6 * n * S,
+        }
+        for n in range(100)
+    ]
+    lane = LaneLine("long", read_only(np.random.default_rng(0).normal(size=(20_000, 2)), 2))
+    result = replace(
+        synthetic_result,
+        states=long,
+        summary={**synthetic_result.summary, "windows": windows},
+        scene=StaticScene(lane_lines=(lane, lane, lane)),
+    )
+    chunks = view_chunks(result, ViewConfig())
+    assert max(chunk.num_rows for chunk in chunks) <= CHUNK_ROWS
+    assert max(chunk.to_record_batch().nbytes for chunk in chunks) <= 1.1 * CHUNK_BYTES
+
+
+def test_a_result_without_vehicles_is_a_report(
+    synthetic_result: Result, tmp_path: Path, rows_by_entity: ByEntity
+) -> None:
+    empty = replace(
+        synthetic_result,
+        states=conform(pl.DataFrame(), RESULT_STATES_SCHEMA),
+        corridors=synthetic_result.corridors.clear(),
+        obstacles=synthetic_result.obstacles.clear(),
+        solves=synthetic_result.solves.clear(),
+        certificates=synthetic_result.certificates.clear(),
+        scene=StaticScene(),
+        summary={**synthetic_result.summary, "windows": []},
+    )
+    write_view(empty, ViewConfig(), tmp_path / "empty.rrd")
+    entities = rows_by_entity(RrdReader(tmp_path / "empty.rrd").stream().to_chunks())
+    assert "synthetic\\.mcap" in entities["/report"][0]["TextDocument:text"][0]
+
+
+def test_a_window_without_a_plan_shows_the_recording(synthetic_result: Result, view_of: View) -> None:
+    (window,) = synthetic_result.summary["windows"]
+    bare = {
+        **window,
+        "status": "no_corridors",
+        "reason": "pair car 1, car 2 too close",
+        "vehicles_certified": 0,
+    }
+    entities = view_of(
+        replace(
+            synthetic_result,
+            states=synthetic_result.states.filter(pl.col("source") == "recorded"),
+            corridors=synthetic_result.corridors.clear(),
+            certificates=synthetic_result.certificates.clear(),
+            summary={**synthetic_result.summary, "windows": [bare]},
+        )
+    )
+    assert entity("now", "recorded", "box", "car 1") in entities
+    (event,) = entities["/events/windows"]
+    assert event["TextLog:level"] == ["ERROR"]
+    assert "no corridors" in event["TextLog:text"][0]
+    assert "pair car 1, car 2 too close" in event["TextLog:text"][0]
+
+
+def test_a_missing_folder_is_told_in_one_line(synthetic_result: Result, tmp_path: Path) -> None:
+    with pytest.raises(ExportError, match="cannot be written") as caught:
+        write_view(synthetic_result, ViewConfig(), tmp_path / "nowhere" / "view.rrd")
+    assert "\n" not in str(caught.value)
+
+
+def test_a_saved_result_gives_the_same_view(
+    synthetic_bytes: bytes, synthetic_result: Result, tmp_path: Path
+) -> None:
+    (tmp_path / "result.mcap").write_bytes(synthetic_bytes)
+    save_view(tmp_path, tmp_path / "saved.rrd")
+    saved = RrdReader(tmp_path / "saved.rrd").stream().to_chunks()
+    expected = view_chunks(synthetic_result, ViewConfig())
+    assert sum(chunk.num_rows for chunk in saved) == sum(chunk.num_rows for chunk in expected) + 1  # the name
+
+
+# --- untrusted names -------------------------------------------------------------------------
+
+NASTY = {
+    "car 1": "<script>alert(1)</script>",
+    "car 2": "../..//a|b\n# **c** [d](http://e) \x1b[31m\u202e",
+    "car 3": "x" * 10_000,
+}
+
+
+def _renamed(result: Result) -> Result:
+    def rename(value: Any) -> Any:
+        if isinstance(value, dict):
+            return {key: rename(item) for key, item in value.items()}
+        if isinstance(value, list):
+            return [rename(item) for item in value]
+        return NASTY.get(value, value) if isinstance(value, str) else value
+
+    names = pl.col("vehicle_id").replace(NASTY)
+    failed = result.certificates.with_columns(pl.col("vehicles").list.eval(pl.element().replace(NASTY)))
+    return replace(
+        result,
+        states=result.states.with_columns(names),
+        corridors=result.corridors.with_columns(names),
+        solves=result.solves.with_columns(names),
+        certificates=failed,
+        summary=rename(result.summary),
+    )
+
+
+def test_names_from_the_log_stay_text(synthetic_result: Result, view_of: View) -> None:
+    entities = view_of(_renamed(synthetic_result))
+    for name in NASTY.values():
+        shown = label(name)
+        assert len(shown) <= 40
+        assert shown.isprintable()
+        (style,) = holding(entities[entity("now", "planned", "box", shown)], "Boxes3D:labels")
+        assert style["Boxes3D:labels"] == [shown]
+    assert label(NASTY["car 1"]) == NASTY["car 1"]  # it fits, so it is shown as it is
+    assert all(len(path) < 300 and path.isprintable() for path in entities)
+    (report,) = entities["/report"]
+    text = report["TextDocument:text"][0]
+    assert "\\<script\\>alert\\(1\\)\\<\\/script\\>" in text
+    assert "<script" not in text.replace("\\<", "")
+    assert "](" not in text.replace("\\]", "").replace("\\(", "")
+    assert "\x1b" not in text
+    assert "\u202e" not in text
+    assert len(text) < 10_000
+
+
+def test_the_file_of_nasty_names_is_whole(synthetic_result: Result, tmp_path: Path) -> None:
+    write_view(_renamed(synthetic_result), ViewConfig(), tmp_path / "nasty.rrd")
+    command = [sys.executable, "-m", "rerun_cli", "rrd", "verify", str(tmp_path / "nasty.rrd")]
+    subprocess.run(command, check=True)
+
+
+def test_different_names_stay_different() -> None:
+    long = ["x" * 10_000, "x" * 9_999, "a\nb", "a\tb", "", "\n", "a\N{REPLACEMENT CHARACTER}b", "\ud800"]
+    assert len({label(name) for name in long}) == len(long)
+
+
+# --- the viewer ------------------------------------------------------------------------------
+
+
+def test_without_a_screen_the_way_out_is_told(
+    synthetic_bytes: bytes, rrd: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(sys, "platform", "linux")
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    with pytest.raises(ExportError, match="--save"):
+        show_native(rrd)
+    (tmp_path / "result.mcap").write_bytes(synthetic_bytes)
+    with pytest.raises(ExportError, match="--save"):
+        show_view(tmp_path)
+    assert not (tmp_path / "view.rrd").exists()
+
+
+def test_the_viewer_listens_on_this_machine_alone(
+    synthetic_bytes: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    commands: list[list[str]] = []
+
+    class Started:
+        pid = 1
+
+        def __init__(self, command: list[str], **_: Any) -> None:
+            commands.append(command)
+
+    monkeypatch.setenv("DISPLAY", ":0")
+    monkeypatch.setattr(subprocess, "Popen", Started)
+    (tmp_path / "result.mcap").write_bytes(synthetic_bytes)
+    show_view(tmp_path / "result.mcap")
+    (command,) = commands
+    assert command[command.index("--bind") + 1] == "127.0.0.1"
+    assert str(tmp_path / "view.rrd") in command
+    assert "--memory-limit" in command
+    assert (tmp_path / "view.rrd").stat().st_size > 0
