@@ -94,7 +94,7 @@ def run(logs: tuple[Path, ...], config_path: Path | None, output: Path, view: bo
     Example:  istc-replay run sample_logs/intersection_turn_first.mcap -o results
     """
     from istc_replay.config import load_config
-    from istc_replay.replay import result_folders, run_log
+    from istc_replay.pipeline import result_folders, run_log
 
     config = load_config(config_path)
     folders = result_folders(logs, output)
@@ -287,7 +287,7 @@ def export(source: Path, output: Path, formats: str, config_path: Path | None) -
     Example:  istc-replay export results/intersection_turn_first -o tables --format parquet,csv
     """
     from istc_replay.config import load_config
-    from istc_replay.replay import export_tables
+    from istc_replay.pipeline import export_tables
 
     parts = [part.strip() for part in formats.split(",")]
     chosen = [known for known in _TABLE_FORMATS if known in parts]
@@ -311,7 +311,7 @@ def sample(scene: str, out: Path) -> None:
     Names:    intersection_turn_first, intersection_straight_first, intersection_osi,
               intersection_odometry, dense_4; the form of a scene file is schemas/scene.schema.json
     """
-    from istc_replay.replay import write_sample
+    from istc_replay.pipeline import write_sample
 
     write_sample(scene, out)
     click.echo(_line(out))
@@ -347,13 +347,13 @@ def view(result: Path, save: Path | None) -> None:
     if save is None:
         _show(result)
         return
-    from istc_replay.replay import save_view
+    from istc_replay.pipeline import save_view
 
     save_view(result, save)
     click.echo(_line(save))
 
 
 def _show(result: Path) -> None:
-    from istc_replay.replay import show_view
+    from istc_replay.pipeline import show_view
 
     show_view(result)

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
         Guidance,
         Scenario,
         SolveRecord,
+        Undrivable,
     )
     from istc_replay.trajectories.plan import TrajectoryOutcome
 
@@ -90,7 +91,7 @@ def plan_window(
             plan = WindowPlan(scenario, WindowStatus.NOT_CERTIFIED, "", guidance, corridors, found)
             break
         if round_ > config.trajectories.feedback_rounds or config.corridors.formulation == "paper":
-            reason = "; ".join(u.detail for u in undrivable) + _after(round_)
+            reason = "; ".join(_undrivable_text(u) for u in undrivable) + _after(round_)
             plan = WindowPlan(
                 scenario, WindowStatus.NOT_DRIVABLE, reason, guidance, corridors, undrivable=undrivable
             )
@@ -113,6 +114,10 @@ def _trajectories(
             scenario.participants, corridors.corridors, guidance, strict=True
         )
     ]
+
+
+def _undrivable_text(undrivable: Undrivable) -> str:
+    return f"{undrivable.vehicle_id} in time unit {undrivable.unit}: {undrivable.detail}"
 
 
 def _after(rounds: int) -> str:

@@ -32,7 +32,8 @@ STATES_SCHEMA = pl.Schema(
     }
 )
 
-#: One row a state of a result; source is recorded, planned or guidance.
+#: One row a state of a result; source is recorded, planned (certified), rejected (not certified)
+#: or guidance.
 RESULT_STATES_SCHEMA = pl.Schema(
     {
         "source": pl.String(),

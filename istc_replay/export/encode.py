@@ -22,6 +22,7 @@ from istc_replay.datatypes import (
     StaticScene,
     Window,
     WindowPlan,
+    WindowStatus,
 )
 from istc_replay.export.placing import (
     PlannedMotion,
@@ -72,7 +73,11 @@ def recorded_messages(states: pl.DataFrame) -> Iterator[Stamped]:
 
 
 def plan_messages(plan: WindowPlan, config: CorridorsConfig) -> Iterator[Stamped]:
-    """Give one window's plan: corridors, obstacles, guidance, planned states and solves."""
+    """Give one window's plan: corridors, obstacles, guidance, planned states and solves.
+
+    Trajectories that are not certified are no plan: they go to topics of their own.
+    """
+    kind = "planned" if plan.status is WindowStatus.CERTIFIED else "rejected"
     window = plan.scenario.window
     yield window.start_ns, "/istc/corridors", _corridors(plan, config)
     yield window.start_ns, "/istc/obstacles", _obstacles(plan)
@@ -83,7 +88,7 @@ def plan_messages(plan: WindowPlan, config: CorridorsConfig) -> Iterator[Stamped
             _guidance(guidance, window),
         )
     for trajectory in plan.trajectories:
-        yield from _planned(planned_motion(trajectory, window))
+        yield from _motion(planned_motion(trajectory, window), kind)
     for record in solve_records(plan):
         yield window.start_ns, "/istc/solves", _solve(record, window)
 
@@ -190,9 +195,9 @@ def _guidance(guidance: Guidance, window: Window) -> Any:
     )
 
 
-def _planned(motion: PlannedMotion) -> Iterator[Stamped]:
+def _motion(motion: PlannedMotion, kind: str) -> Iterator[Stamped]:
     vehicle_state, size = messages.message("VehicleState"), _dimensions(motion.dimensions)
-    topic = f"/istc/planned/{topic_name(motion.vehicle_id)}"
+    topic = f"/istc/{kind}/{topic_name(motion.vehicle_id)}"
     columns = (
         motion.times_ns,
         motion.poses[:, 0],

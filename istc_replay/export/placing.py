@@ -10,7 +10,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from istc_replay.datatypes import Dimensions, FloatArray, Frame, Log, Trajectory, Window, WindowPlan
+from istc_replay.datatypes import (
+    Dimensions,
+    FloatArray,
+    Frame,
+    Log,
+    Trajectory,
+    Window,
+    WindowPlan,
+    WindowStatus,
+)
 from istc_replay.geometry import shift_along, to_map
 from istc_replay.units import NS_PER_S, seconds_to_ns, wrap_angle
 
@@ -57,10 +66,11 @@ def planned_motion(trajectory: Trajectory, window: Window) -> PlannedMotion:
 
 
 def planned_motions(plans: Sequence[WindowPlan]) -> list[PlannedMotion]:
-    """Place all trajectories of all windows, in their order."""
+    """Place the trajectories of all certified windows, in their order."""
     return [
         planned_motion(trajectory, plan.scenario.window)
         for plan in plans
+        if plan.status is WindowStatus.CERTIFIED
         for trajectory in plan.trajectories
         if len(trajectory.times_s)
     ]

@@ -36,7 +36,7 @@ _OF_ONE_RUN = frozenset({"seconds", "cpu_s", "wall_s", "stages", "solves"})
 def read_result(source: Path | bytes) -> Result:
     """Read a result.mcap.
 
-    States are sorted by source (recorded, planned, guidance), window, vehicle and time. A recorded
+    States are sorted by source (recorded, planned, rejected, guidance), window, vehicle and time. A recorded
     state belongs to the latest window that it falls into, both ends included; its window is null
     where there is none. Speeds of guidance rows are null: a guidance tells places and times.
     `solves.wall_s` is null: wall-clock times are not part of the file.
@@ -165,7 +165,7 @@ def _states(rows: ResultRows) -> pl.DataFrame:
         rows.windows, schema={"at": pl.Int32, "from_ns": pl.Int64, "to_ns": pl.Int64}, orient="row"
     )
     order = pl.col("source").replace_strict(
-        {"recorded": 0, "planned": 1, "guidance": 2}, return_dtype=pl.Int8
+        {"recorded": 0, "planned": 1, "rejected": 2, "guidance": 3}, return_dtype=pl.Int8
     )
     within = pl.when(pl.col("time_ns") <= pl.col("to_ns")).then("at")
     return (

@@ -56,8 +56,8 @@ def _collect_state(rows: ResultRows, state: Any, source: str) -> None:
         box = state.dimensions
         size = (box.length_m, box.width_m, _known(box, "wheelbase_m"), _known(box, "rear_axle_to_centre_m"))
     window = _known(state, "window")
-    if source == "planned" and window is None:
-        raise ValueError("a planned state without its window")
+    if source != "recorded" and window is None:
+        raise ValueError(f"a {source} state without its window")
     motion = (_known(state, name) for name in _KINEMATICS)
     rows.states.append(
         (source, window, state.vehicle_id, state.time_ns, state.x_m, state.y_m, *motion, *size)
@@ -150,6 +150,7 @@ _COLLECTORS: dict[str, tuple[str, Callable[[ResultRows, Any, str], None]]] = {
     "/istc/static": ("Scene", _collect_scene),
     "/istc/recorded/": ("VehicleState", _collect_state),
     "/istc/planned/": ("VehicleState", _collect_state),
+    "/istc/rejected/": ("VehicleState", _collect_state),
     "/istc/guidance/": ("Guidance", _collect_guidance),
     "/istc/corridors": ("Corridors", _collect_corridors),
     "/istc/obstacles": ("Obstacles", _collect_obstacles),

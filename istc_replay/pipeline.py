@@ -161,7 +161,8 @@ def _certify(log: Log, plans: Sequence[WindowPlan], config: Config, timing: Stag
         return result_bytes(log, plans, certificates, summary, toml, provenance), summary
 
     with timing.stage("result_mcap"):
-        draft = read_result(written(plans, ())[0])
+        hoped = [replace(p, status=WindowStatus.CERTIFIED) if p.trajectories else p for p in plans]
+        draft = read_result(written(hoped, ())[0])
     with timing.stage("certificate"):
         certificates = certify(draft, config)
     judged = []
