@@ -130,8 +130,7 @@ def test_priorities_are_those_of_table_ii(name: str, priorities: dict[str, float
 
 
 def test_the_dense_crossing_starts_and_stands_where_its_scene_says() -> None:
-    text = resources.files("istc_replay").joinpath("data/dense_4.json").read_text(encoding="utf-8")
-    form, scene = parse_scene(text), recorded("dense_4")
+    form, scene = parse_scene(packaged()), recorded("dense_4")
     for vehicle in form.vehicles:
         track = tracks(scene)[vehicle.id]
         for row, pose in (
@@ -146,13 +145,23 @@ def test_the_dense_crossing_starts_and_stands_where_its_scene_says() -> None:
         assert track.tail(31)["speed_mps"].to_list() == [0.0] * 31
     field = shapely.box(0, 0, 50, 38)
     assert all(field.covers(box) for track in tracks(scene).values() for box in boxes(track))
-    assert max(overlaps(scene).values()) > 0.0
+
+
+def test_vehicles_of_the_dense_crossing_miss_each_other_by_less_than_a_metre() -> None:
+    outlines = [boxes(track) for track in tracks(recorded("dense_4")).values()]
+    gaps = [
+        min(p.distance(q) for p, q in zip(a, b, strict=True)) for a, b in itertools.combinations(outlines, 2)
+    ]
+    assert 0.0 < min(gaps) < 1.0
+
+
+def packaged() -> str:
+    return resources.files("istc_replay").joinpath("data/dense_4.json").read_text(encoding="utf-8")
 
 
 def with_block(*block: float) -> str:
-    values = json.loads(
-        resources.files("istc_replay").joinpath("data/dense_4.json").read_text(encoding="utf-8")
-    )
+    """Vehicle 1 of the packaged scene alone, and one obstacle."""
+    values = json.loads(packaged())
     values["vehicles"] = values["vehicles"][:1]
     values["obstacles"] = [dict(zip(("x_min_m", "x_max_m", "y_min_m", "y_max_m"), block, strict=True))]
     return json.dumps(values)
