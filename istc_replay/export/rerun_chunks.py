@@ -26,7 +26,13 @@ CHUNK_BYTES = 384 * 1024
 #: What is shown until this time is never cleared.
 FOREVER_NS = int(np.iinfo(np.int64).max)
 
-_LABEL_LENGTH = 40
+_LABEL_LENGTH = 32
+#: Latin, Greek and Cyrillic: what the viewer's font is sure to have.
+_DRAWN = frozenset(
+    chr(c)
+    for c in (*range(0x20, 0x180), *range(0x386, 0x3CF), *range(0x400, 0x460), 0x2013, 0x2014, 0x2026)
+    if chr(c).isprintable() and c != 0x149 and (c < 0x180 or c >= 0x400 or chr(c).isalpha())
+)
 #: A row's identity and its three times.
 _INDEX_BYTES = 48.0
 
@@ -56,13 +62,21 @@ class Clock:
         ]
 
 
+def plain(text: object) -> str:
+    """Untrusted text on one line, in characters that the viewer can draw; others become `?`.
+
+    Rerun's viewer ends at once on a character that its one font lacks.
+    """
+    return "".join(c if c in _DRAWN else "?" for c in str(text))
+
+
 def label(identifier: str) -> str:
-    """A short printable name for an untrusted identifier; different identifiers stay different."""
-    printable = "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in identifier)
-    if printable == identifier and 0 < len(printable) <= _LABEL_LENGTH:
-        return printable
+    """A short name for an untrusted identifier; different identifiers stay different."""
+    drawn = plain(identifier)
+    if drawn == identifier and 0 < len(drawn) <= _LABEL_LENGTH:
+        return drawn
     digest = hashlib.sha256(identifier.encode("utf-8", "surrogatepass")).hexdigest()[:8]
-    return f"{printable[: _LABEL_LENGTH - 10]}\N{HORIZONTAL ELLIPSIS}#{digest}"
+    return f"{drawn[: _LABEL_LENGTH - 10]}\N{HORIZONTAL ELLIPSIS}#{digest}"
 
 
 def entity(*parts: str) -> str:

@@ -13,8 +13,8 @@ from istc_replay.export.rerun_stage import Span, Stage, Track
 
 #: Pairs farther apart than this are not of interest [m].
 HORIZON_M = 15.0
-#: Pairs drawn, and pairs measured in one window: the closest ones.
-PAIRS_DRAWN = 4
+#: Pairs drawn of either source, and pairs measured in one window: the closest ones.
+PAIRS_DRAWN = 3
 _PAIRS_MEASURED = 200
 _STEP_NS = 100_000_000
 
@@ -57,11 +57,16 @@ def clearances(stage: Stage) -> list[Clearance]:
 
 
 def closest_pairs(found: list[Clearance]) -> list[tuple[str, str]]:
-    """The pairs with the least gaps, recorded or planned, closest first."""
-    least: dict[tuple[str, str], float] = {}
-    for clearance in found:
-        least[clearance.pair] = min(clearance.least_m, least.get(clearance.pair, np.inf))
-    return sorted(least, key=lambda pair: (least[pair], pair))[:PAIRS_DRAWN]
+    """The pairs with the least gaps, as recorded and as planned, closest first."""
+    chosen: dict[tuple[str, str], float] = {}
+    for source in ("recorded", "planned"):
+        least: dict[tuple[str, str], float] = {}
+        for clearance in found:
+            if clearance.source == source:
+                least[clearance.pair] = min(clearance.least_m, least.get(clearance.pair, np.inf))
+        for pair in sorted(least, key=lambda pair: (least[pair], pair))[:PAIRS_DRAWN]:
+            chosen[pair] = min(least[pair], chosen.get(pair, np.inf))
+    return sorted(chosen, key=lambda pair: (chosen[pair], pair))
 
 
 def least_by_vehicle(found: list[Clearance], window: int, source: str) -> dict[str, float]:

@@ -15,7 +15,7 @@ import polars as pl
 import rerun as rr
 from rerun.chunk import Chunk
 
-from istc_replay.export.rerun_chunks import FOREVER_NS, each, entity, label, same, shown
+from istc_replay.export.rerun_chunks import FOREVER_NS, each, entity, label, plain, same, shown
 from istc_replay.export.rerun_clearance import HORIZON_M, Clearance, least_by_vehicle
 from istc_replay.export.rerun_plots import manoeuvres
 from istc_replay.export.rerun_stage import Span, Stage
@@ -48,7 +48,7 @@ def report_chunks(stage: Stage, found: list[Clearance]) -> list[Chunk]:
 
 def escaped(text: object) -> str:
     """Untrusted text as Markdown that shows just these characters, on one line."""
-    line = "".join(c if c.isprintable() else " " for c in str(text))
+    line = plain(text)
     if len(line) > _LONGEST:
         line = line[: _LONGEST - 1] + "\N{HORIZONTAL ELLIPSIS}"
     return line.translate(_MARKUP)
@@ -225,7 +225,7 @@ def event_chunks(stage: Stage, found: list[Clearance]) -> list[Chunk]:
 
 
 def _cut(text: str) -> str:
-    line = "".join(c if c.isprintable() else " " for c in text)
+    line = plain(text)
     return line if len(line) <= 2 * _LONGEST else line[: 2 * _LONGEST] + "\N{HORIZONTAL ELLIPSIS}"
 
 
