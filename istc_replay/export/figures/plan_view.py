@@ -209,8 +209,11 @@ def _label_seconds(axes: Axes, scene: WindowScene, tracks: dict[str, Track]) -> 
     for track in tracks.values():
         seconds = _seconds(track)
         seconds = seconds[(seconds % step == 0) & (seconds > 0)]
+        last = track.poses[0, :2]
         for second, (x, y, heading) in zip(seconds, track.at(seconds), strict=True):
-            if np.isfinite(x):
+            # Where a vehicle stands, one label is enough.
+            if np.hypot(x - last[0], y - last[1]) >= _TICK_M:
+                last = np.array([x, y])
                 aside = 1.9 * _TICK_M
                 axes.text(
                     x - aside * np.sin(heading),

@@ -8,20 +8,24 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
+from matplotlib.patheffects import withStroke
 
 from istc_replay.export.figures.closest import ClosestPair
 from istc_replay.export.figures.style import (
     CONTACT,
     INK,
     MUTED,
+    PAPER,
     line_legend,
     new_figure,
     vehicle_legend,
 )
 from istc_replay.export.figures.tracks import Track, WindowScene
 
-_PLANNED: dict[str, Any] = {"linestyle": "-", "linewidth": 2.4, "alpha": 0.65}
-_RECORDED: dict[str, Any] = {"linestyle": (0, (3, 1.6)), "linewidth": 0.9}
+_PLANNED: dict[str, Any] = {"linestyle": "-", "linewidth": 2.0}
+#: The rim parts a dash from a planned line of the same colour below it.
+_RIM = [withStroke(linewidth=2.2, foreground=PAPER)]
+_RECORDED: dict[str, Any] = {"linestyle": (0, (4, 2.4)), "linewidth": 1.0, "path_effects": _RIM}
 #: Gaps up to here are always on the scale [m].
 _INTERESTING_M = 8.0
 _LIMIT: dict[str, Any] = {"linestyle": (0, (7, 2, 1.5, 2)), "linewidth": 0.9, "color": INK}
@@ -100,8 +104,8 @@ def _draw_limits(axes: Axes, limits: Iterable[float]) -> None:
 
 def draw_separation(scene: WindowScene, recorded: ClosestPair | None, planned: ClosestPair | None) -> Figure:
     """Draw the gap of the closest pair over time, recorded against planned."""
-    figure = new_figure(9.9, 3.4)
-    axes = figure.add_axes((0.065, 0.135, 0.915, 0.84))
+    figure = new_figure(9.9, 3.6)
+    axes = figure.add_axes((0.065, 0.13, 0.915, 0.74))
     looks = (
         ("recorded", recorded, {**_RECORDED, "linewidth": 1.4, "color": MUTED, "marker": "v"}),
         ("planned", planned, {"linewidth": 2.0, "color": INK, "marker": "^"}),
@@ -122,7 +126,7 @@ def draw_separation(scene: WindowScene, recorded: ClosestPair | None, planned: C
     )
     axes.set(xlabel="time from the window's start [s]", ylabel="gap of the closest pair [m]")
     lines = [(_least_text(scene, name, pair), look) for name, pair, look in shown]
-    line_legend(axes, lines, loc="upper right", borderaxespad=0.1)
+    line_legend(axes, lines, loc="lower right", bbox_to_anchor=(1.0, 1.0), borderaxespad=0.1)
     return figure
 
 

@@ -73,7 +73,7 @@ def draw_own_corridors(scene: WindowScene, page: int = 0) -> Figure:
     One page holds `PANELS` vehicles.
     """
     names = list(scene.corridors)[page * PANELS : (page + 1) * PANELS]
-    columns = min(_COLUMNS, len(names))
+    columns = 2 if len(names) == 4 else min(_COLUMNS, len(names))
     rows = ceil(len(names) / columns)
     height_in = 3.05 * rows + 0.4
     figure = new_figure(9.9, height_in)
@@ -107,7 +107,7 @@ def _draw_own_corridor(figure: Figure, place: Place, scene: WindowScene, name: s
         )
         if name in tracks
     ]
-    inner = (left + 0.145 * width, bottom + 0.14 * height, 0.69 * width, 0.77 * height)
+    inner = (left + 0.16 * width, bottom + 0.14 * height, 0.66 * width, 0.77 * height)
     axes = _space_time_axes(figure, inner, scene, [shape], [line[:, :2] for line, _, _ in lines])
     _draw_prisms(axes, [(style, shape)], ())
     for line, look, colour in lines:
@@ -152,7 +152,7 @@ def _space_time_axes(
     for axis, name in ((axes.xaxis, "x [m]"), (axes.yaxis, "y [m]"), (axes.zaxis, "t [s]")):
         axis.set_pane_color((1.0, 1.0, 1.0, 0.0))
         axis.set_label_text(name)
-        axis.labelpad = -1.0
+        axis.labelpad = -4.0 if axis is axes.zaxis else -1.0
         short = axis is not axes.zaxis and size["xy".index(axis.axis_name)] < 0.45 * size.max()
         axis.set_major_locator(MaxNLocator(nbins=2 if short else 5, steps=[1, 2, 5, 10]))
     axes.tick_params(pad=0)

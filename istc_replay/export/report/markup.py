@@ -107,7 +107,9 @@ def names(texts: Iterable[Any], most: int = 12) -> Html:
 
 def prose(text: Any) -> Html:
     """An untrusted sentence: isolated and at most a paragraph long."""
-    return element("bdi", visible(shortened(str(text), _TEXT_CHARACTERS)), class_="long")
+    shown = visible(shortened(str(text), _TEXT_CHARACTERS))
+    longest = max(map(len, shown.split()), default=0)
+    return element("bdi", shown, class_="long" if longest > _WORD_CHARACTERS else None)
 
 
 def number(value: Any, digits: int = 2, unit: str = "") -> str:
