@@ -19,8 +19,11 @@ from istc_replay.units import seconds_to_ns
 
 BoolArray = NDArray[np.bool_]
 
-#: A recording is interrupted where states are this many sampling periods apart.
+#: A recording is interrupted where states are this many sampling periods apart, or this long.
 _GAP_PERIODS = 4.0
+_LONGEST_GAP_NS = 3_000_000_000
+#: No place on Earth is this far from its map's origin; single precision could not hold it.
+_FARTHEST_M = 1e8
 _GREY = 150
 _MARGIN_M = 2.0
 
@@ -120,9 +123,10 @@ def _track(vehicle_id: str, table: pl.DataFrame, origin_m: tuple[float, float], 
     table = table.sort("time_ns", maintain_order=True).unique("time_ns", keep="last", maintain_order=True)
     times = table["time_ns"].to_numpy().astype(np.int64)
     steps = np.diff(times)
-    period = int(np.median(steps)) if len(steps) else seconds_to_ns(0.1)
+    period = min(int(np.median(steps)), _LONGEST_GAP_NS) if len(steps) else seconds_to_ns(0.1)
     nexts = np.append(times[1:], FOREVER_NS)
-    kept = nexts - times <= _GAP_PERIODS * period
+    kept = np.append(steps <= min(_GAP_PERIODS * period, _LONGEST_GAP_NS), False)
+    alone = np.minimum(times, FOREVER_NS - period) + period
     column = {name: table[name].cast(pl.Float64).to_numpy().copy() for name in _TRACK_COLUMNS}
     sizes = np.column_stack([column["length_m"], column["width_m"]])
     fallback = np.array([default.vehicles.length_m, default.vehicles.width_m])
@@ -130,7 +134,7 @@ def _track(vehicle_id: str, table: pl.DataFrame, origin_m: tuple[float, float], 
     return Track(
         vehicle_id=vehicle_id,
         times_ns=times,
-        ends_ns=np.where(kept, nexts, times + period),
+        ends_ns=np.where(kept, nexts, alone),
         poses=np.column_stack(poses),
         sizes_m=np.where(np.isfinite(sizes) & (sizes > 0.0), sizes, fallback),
         speeds_mps=column["speed_mps"],
@@ -242,7 +246,8 @@ def make_stage(result: Result, view: ViewConfig) -> Stage:
     """
     config = parse_config(result.config_toml, f"{result.path}: config.toml")
     spans = _spans(result.summary["windows"])
-    states = result.states.filter(pl.all_horizontal(pl.col("x_m", "y_m", "heading_rad").is_finite()))
+    placed = pl.all_horizontal(pl.col("x_m", "y_m").abs() < _FARTHEST_M)
+    states = result.states.filter(placed & pl.col("heading_rad").is_finite())
     origin = _origin(spans, states)
     sources = {
         source: {

@@ -114,7 +114,7 @@ def _vehicles(stage: Stage, span: Span, found: list[Clearance]) -> str:
                 escaped(stage.names.get(name) or label(name)),
                 _number(vehicle.get("priority"), ".2f"),
                 _number(vehicle.get("corridor_area_m2"), ".0f", " m²"),
-                _gap(gaps["planned"], name),
+                _gap(gaps["planned"], name) if (span.index, name) in stage.planned else "\N{EN DASH}",
                 _gap(gaps["recorded"], name),
                 _number(vehicle.get("speed_std_mps"), ".2f", " m/s"),
                 _solve(solve),
