@@ -10,7 +10,8 @@ import polars as pl
 
 from istc_replay.datatypes import Dimensions, FloatArray, StaticScene
 from istc_replay.geometry import shift_along
-from istc_replay.samples.paths import Curve, Pace
+from istc_replay.guidance.curves import Curve
+from istc_replay.samples.pace import Pace
 from istc_replay.states import STATES_SCHEMA, conform
 from istc_replay.units import NS_PER_S, wrap_angle
 

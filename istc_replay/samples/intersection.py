@@ -12,8 +12,9 @@ import math
 import numpy as np
 
 from istc_replay.datatypes import Dimensions, LaneLine, StaticScene, VehicleInfo, read_only
+from istc_replay.guidance.curves import Curve, Pose, smooth_curve
 from istc_replay.samples.drive import Drive, RecordedScene, box_centres, record_drives
-from istc_replay.samples.paths import Curve, Pace, Pose, smooth_curve
+from istc_replay.samples.pace import Pace
 
 #: Vehicles of the paper: 4 m x 2 m, wheelbase 2.7 m, equal overhangs.
 CAR = Dimensions(length_m=4.0, width_m=2.0, wheelbase_m=2.7, rear_axle_to_centre_m=1.35)

@@ -10,9 +10,9 @@ import numpy as np
 
 from istc_replay.datatypes import Dimensions, FloatArray, read_only
 from istc_replay.geometry import box_corners
+from istc_replay.guidance.curves import Curve, Pose, smooth_curve, smooth_to_goal
+from istc_replay.guidance.dubins import Word, dubins_words
 from istc_replay.samples.drive import box_centres
-from istc_replay.samples.dubins import Word, dubins_words, smooth_word
-from istc_replay.samples.paths import Curve, Pose, smooth_curve
 from istc_replay.samples.sceneform import Box
 
 #: Turning radii in the order of trying; the first is comfortable at 5 m/s.
@@ -137,7 +137,7 @@ def _sharp(word: Word, start: Pose) -> Curve:
 def _smoothed(word: Word, start: Pose, goal: Pose) -> Curve | None:
     """Smooth the word so that the steering turns no faster than at a change from straight to an arc."""
     for ramp_m in (_RAMP_M, 2.0 * _RAMP_M):
-        curve = smooth_word(word, start, goal, ramp_m)
+        curve = smooth_to_goal(start, goal, word.lengths_m, word.curvatures_1pm, ramp_m)
         sharpest = 1.0 / (word.radius_m * _RAMP_M)
         if curve is not None and np.abs(curve.sharpness(curve.breaks_m)).max() < 1.001 * sharpest:
             return curve

@@ -9,9 +9,10 @@ from importlib import resources
 
 from istc_replay.datatypes import MapBounds, SceneObstacle, StaticScene, VehicleInfo
 from istc_replay.errors import ScenarioError, UsageError
+from istc_replay.guidance.curves import Pose
 from istc_replay.samples.drive import Drive, RecordedScene, record_drives
 from istc_replay.samples.intersection import START_NS, intersection
-from istc_replay.samples.paths import Pace, Pose
+from istc_replay.samples.pace import Pace
 from istc_replay.samples.routes import find_route
 from istc_replay.samples.sceneform import Box, SceneFile, ScenePose, SceneVehicle, parse_scene
 

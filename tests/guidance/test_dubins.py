@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from istc_replay.samples.dubins import dubins_words, smooth_word
-from istc_replay.samples.paths import Pose
+from istc_replay.guidance.curves import Curve, Pose, smooth_to_goal
+from istc_replay.guidance.dubins import Word, dubins_words
 
 poses = st.builds(Pose, st.floats(-15, 15), st.floats(-15, 15), st.floats(-math.pi, math.pi))
 
@@ -27,6 +27,10 @@ def driven(start: Pose, name: str, lengths: Any, radius: float) -> tuple[Any, An
         else:
             z = z + (np.exp(1j * heading) - np.exp(1j * before)) / (1j * kappa)
     return z, heading
+
+
+def smoothed(word: Word, start: Pose, goal: Pose) -> Curve | None:
+    return smooth_to_goal(start, goal, word.lengths_m, word.curvatures_1pm, 4.0)
 
 
 @given(start=poses, goal=poses, radius=st.floats(2.0, 8.0))
@@ -82,7 +86,7 @@ def test_no_path_of_three_arcs_is_shorter(start: Pose, goal: Pose) -> None:
 @given(start=poses, goal=poses)
 def test_a_smoothed_word_still_ends_at_the_goal_and_never_turns_tighter(start: Pose, goal: Pose) -> None:
     for word in dubins_words(start, goal, 6.0):
-        curve = smooth_word(word, start, goal, 4.0)
+        curve = smoothed(word, start, goal)
         if curve is None:
             continue
         end = curve.poses([curve.length_m])[0]
@@ -94,5 +98,5 @@ def test_a_smoothed_word_still_ends_at_the_goal_and_never_turns_tighter(start: P
 def test_most_words_can_be_smoothed() -> None:
     random = np.random.default_rng(5)
     drawn = [[Pose(*values) for values in random.uniform(-20.0, 20.0, (2, 3))] for _ in range(30)]
-    smoothed = [smooth_word(dubins_words(start, goal, 6.0)[0], start, goal, 4.0) for start, goal in drawn]
-    assert sum(curve is not None for curve in smoothed) >= 25
+    found = [smoothed(dubins_words(start, goal, 6.0)[0], start, goal) for start, goal in drawn]
+    assert sum(curve is not None for curve in found) >= 25

@@ -1,4 +1,4 @@
-"""Paths of continuous curvature for the rear axle, and a bicycle driven along them."""
+"""Paths of the rear axle: sharp ones made of arcs, smooth ones of linear curvature."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ from istc_replay.datatypes import FloatArray, read_only
 #: Five Gauss nodes integrate a piece of this length exactly, up to rounding, where curvature is linear.
 _STEP_M = 0.5
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(5)
+_ROUNDS = 25
+_END_TOLERANCE = 1e-10
 
 
 @dataclass(frozen=True, slots=True)
@@ -23,6 +25,10 @@ class Pose:
     x_m: float
     y_m: float
     heading_rad: float
+
+    def as_array(self) -> FloatArray:
+        """The pose as (3,): x, y, heading."""
+        return np.array([self.x_m, self.y_m, self.heading_rad])
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,12 +63,11 @@ class Curve:
         """Unwrapped heading at arc lengths of any shape [rad]."""
         s = np.asarray(s_m, dtype=np.float64)
         breaks, kappa = self.breaks_m, self.curvatures_1pm
-        turned = np.concatenate([[0.0], np.cumsum(np.diff(breaks) * (kappa[1:] + kappa[:-1]) / 2)])
         left = np.clip(np.searchsorted(breaks, s, side="right") - 1, 0, len(breaks) - 1)
         # The mean of the curvatures at both ends of the remaining piece is exact: it is linear there.
         rest = s - breaks[left]
         last_turn = rest * (kappa[left] + self.curvature(s)) / 2
-        return np.asarray(self.start.heading_rad + turned[left] + last_turn)
+        return np.asarray(self.start.heading_rad + self._turned[left] + last_turn)
 
     def points(self, s_m: ArrayLike) -> FloatArray:
         """Points at arc lengths (S,), as (S, 2) [m]."""
@@ -74,6 +79,21 @@ class Curve:
     def poses(self, s_m: ArrayLike) -> FloatArray:
         """Poses at arc lengths (S,), as (S, 3): x, y, unwrapped heading [m, rad]."""
         return np.column_stack([self.points(s_m), self.heading(s_m)])
+
+    def spaced_poses(self, step_m: float) -> FloatArray:
+        """Poses (S, 3) from end to end, at most a step apart [m, rad]."""
+        return self.poses(np.linspace(0.0, self.length_m, math.ceil(self.length_m / step_m) + 1))
+
+    @cached_property
+    def end(self) -> FloatArray:
+        """The pose (3,) at the last break, its heading unwrapped [m, rad]."""
+        return np.array([*self._knots[1][-1], self.heading(self.length_m)])
+
+    @cached_property
+    def _turned(self) -> FloatArray:
+        """Change of heading (B,) from the start to each break."""
+        kappa = self.curvatures_1pm
+        return np.concatenate([[0.0], np.cumsum(np.diff(self.breaks_m) * (kappa[1:] + kappa[:-1]) / 2)])
 
     @cached_property
     def _knots(self) -> tuple[FloatArray, FloatArray]:
@@ -90,6 +110,45 @@ class Curve:
         heading = self.heading(nodes)
         weights = _GAUSS_WEIGHTS / 2
         return np.column_stack([by * (np.cos(heading) @ weights), by * (np.sin(heading) @ weights)])
+
+
+def arc_poses(
+    starts: FloatArray, lengths_m: FloatArray, curvatures_1pm: FloatArray, s_m: FloatArray
+) -> FloatArray:
+    """Poses along many sharp paths at once.
+
+    Parameters
+    ----------
+    starts : ndarray
+        (N, 3) poses [m, rad].
+    lengths_m, curvatures_1pm : ndarray
+        (N, A) arcs of each path [m, 1/m].
+    s_m : ndarray
+        (N, S) arc lengths within the paths [m].
+
+    Returns
+    -------
+    ndarray
+        (N, S, 3) x, y, unwrapped heading [m, rad].
+    """
+    ends = np.cumsum(lengths_m, axis=1)
+    turned = np.cumsum(lengths_m * curvatures_1pm, axis=1)
+    begun = ends - lengths_m
+    headings = starts[:, 2:3] + turned - lengths_m * curvatures_1pm  # (N, A) at the start of each arc
+    driven = np.clip(s_m[:, :, None] - begun[:, None, :], 0.0, lengths_m[:, None, :])  # (N, S, A)
+    half_turn = driven * curvatures_1pm[:, None, :] / 2.0
+    # The chord of an arc: its length times sinc of half the turn, along the heading at half the turn.
+    small = np.abs(half_turn) < 1e-9
+    chord = driven * np.where(small, 1.0, np.sin(half_turn) / np.where(small, 1.0, half_turn))
+    along = headings[:, None, :] + half_turn
+    return np.stack(
+        [
+            starts[:, 0:1] + (chord * np.cos(along)).sum(axis=2),
+            starts[:, 1:2] + (chord * np.sin(along)).sum(axis=2),
+            starts[:, 2:3] + 2.0 * half_turn.sum(axis=2),
+        ],
+        axis=-1,
+    )
 
 
 def smooth_curve(start: Pose, lengths_m: ArrayLike, curvatures_1pm: ArrayLike, ramp_m: float) -> Curve:
@@ -115,33 +174,48 @@ def smooth_curve(start: Pose, lengths_m: ArrayLike, curvatures_1pm: ArrayLike, r
     return Curve(start, read_only(breaks), read_only(kappa))
 
 
-@dataclass(frozen=True, slots=True)
-class Pace:
-    """Speed over time: constant, and where `stop_m` is given braked to stand exactly there."""
+def smooth_to_goal(
+    start: Pose, goal: Pose, lengths_m: ArrayLike, curvatures_1pm: ArrayLike, ramp_m: float
+) -> Curve | None:
+    """Spread the arcs' changes of curvature over ramps and still end exactly at the goal.
 
-    speed_mps: float
-    stop_m: float | None = None
-    deceleration_mps2: float = 2.0
+    The lengths are corrected by as little as possible (Newton's method, its slopes measured once
+    and then updated by Broyden's rule); None where a length would have to be negative.
 
-    @property
-    def arrival_s(self) -> float:
-        """When the vehicle comes to stand; infinite where it drives on."""
-        if self.stop_m is None:
-            return math.inf
-        return self._braking_from_s + self.speed_mps / self.deceleration_mps2
+    Parameters
+    ----------
+    start, goal : Pose
+        The ends of the curve.
+    lengths_m, curvatures_1pm : array_like
+        (A,) arcs of a sharp path from start to goal [m, 1/m].
+    ramp_m : float
+        As for `smooth_curve` [m].
+    """
+    target = goal.as_array()
 
-    @property
-    def _braking_from_s(self) -> float:
-        if self.stop_m is None:
-            return math.inf
-        return self.stop_m / self.speed_mps - self.speed_mps / (2.0 * self.deceleration_mps2)
+    def tried(lengths: FloatArray) -> tuple[Curve, FloatArray]:
+        curve = smooth_curve(start, lengths, curvatures_1pm, ramp_m)
+        error = curve.end - target
+        error[2] = math.remainder(error[2], 2.0 * math.pi)
+        return curve, error
 
-    def at(self, times_s: ArrayLike) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Distance [m], speed [m/s] and acceleration [m/s^2] at times (S,), each (S,)."""
-        t = np.asarray(times_s, dtype=np.float64)
-        braking = np.clip(t - self._braking_from_s, 0.0, self.speed_mps / self.deceleration_mps2)
-        cruising = np.minimum(t, self._braking_from_s)
-        speed = self.speed_mps - self.deceleration_mps2 * braking
-        distance = self.speed_mps * (cruising + braking) - self.deceleration_mps2 * braking**2 / 2
-        slowing = (t >= self._braking_from_s) & (t < self.arrival_s)
-        return distance, speed, np.where(slowing, -self.deceleration_mps2, 0.0)
+    lengths = np.array(lengths_m, dtype=np.float64)
+    curve, error = tried(lengths)
+    step = 1e-6
+    slopes = np.column_stack(
+        [(tried(lengths + step * axis)[1] - error) / step for axis in np.eye(len(lengths))]
+    )
+    for _ in range(_ROUNDS):
+        if np.abs(error).max() < _END_TOLERANCE:
+            return curve
+        wanted = lengths - np.linalg.lstsq(slopes, error, rcond=None)[0]
+        if wanted.min() < -1e-9:
+            return None
+        wanted = np.maximum(wanted, 0.0)
+        moved = wanted - lengths
+        curve, after = tried(wanted)
+        if moved @ moved == 0.0:
+            return None
+        slopes += np.outer(after - error - slopes @ moved, moved) / (moved @ moved)
+        lengths, error = wanted, after
+    return None

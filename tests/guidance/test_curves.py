@@ -1,4 +1,4 @@
-"""Curves of continuous curvature and the pace along them, against independent integration."""
+"""Curves of continuous curvature, against independent integration."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from istc_replay.datatypes import FloatArray, read_only
-from istc_replay.samples.paths import Curve, Pace, Pose, smooth_curve
+from istc_replay.guidance.curves import Curve, Pose, smooth_curve
 
 RAMP_M = 4.0
 
@@ -68,25 +68,3 @@ def test_heading_and_points_agree_everywhere_along_a_curve() -> None:
     without_break = np.diff(np.searchsorted(curve.breaks_m, s)) == 0
     slopes = np.diff(curve.curvature(s)) / np.diff(s)
     np.testing.assert_allclose(slopes[without_break], curve.sharpness(middle)[without_break], atol=1e-9)
-
-
-def test_a_pace_without_a_stop_is_constant() -> None:
-    distance, speed, acceleration = Pace(5.0).at([0.0, 2.0, 100.0])
-    assert distance.tolist() == [0.0, 10.0, 500.0]
-    assert speed.tolist() == [5.0, 5.0, 5.0]
-    assert acceleration.tolist() == [0.0, 0.0, 0.0]
-
-
-def test_a_pace_with_a_stop_brakes_at_its_rate_and_stands_exactly_there() -> None:
-    pace = Pace(5.0, stop_m=40.0, deceleration_mps2=2.0)
-    times = np.linspace(0.0, pace.arrival_s + 3.0, 5001)
-    distance, speed, acceleration = pace.at(times)
-    assert distance[-1] == pytest.approx(40.0, abs=1e-12)
-    assert speed[-1] == 0.0
-    assert speed.min() >= 0.0
-    assert set(acceleration.tolist()) == {0.0, -2.0}
-    # Speed is the derivative of distance, acceleration that of speed.
-    h = times[1] - times[0]
-    np.testing.assert_allclose(np.gradient(distance, h), speed, atol=2 * h)
-    kinks = np.abs(np.gradient(speed, h) - acceleration) > 1e-6
-    assert kinks.sum() <= 4

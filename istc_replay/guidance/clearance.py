@@ -1,0 +1,142 @@
+"""Whether a car's box keeps clear of standing boxes and within the map, for many poses at once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from istc_replay.datatypes import Dimensions, FloatArray, MapBounds, SceneObstacle
+from istc_replay.geometry import shift_along
+
+_ROUNDING_M = 1e-9
+
+
+@dataclass(frozen=True, eq=False)
+class Clearance:
+    """What a car has to keep clear of, and by how much.
+
+    `obstacles` (O, 5): centre x, y, heading, half length, half width [m, rad]. The car-box, also
+    turned by +-`slacks_rad` (O,) about its centre, keeps `margins_m` (O,) from each; the box as it
+    is stays within the bounds.
+    """
+
+    car: Dimensions
+    bounds: MapBounds
+    obstacles: FloatArray
+    margins_m: FloatArray
+    slacks_rad: FloatArray
+
+    @classmethod
+    def of(
+        cls,
+        car: Dimensions,
+        bounds: MapBounds,
+        obstacles: Sequence[SceneObstacle],
+        margin_m: float,
+        slack_rad: float,
+    ) -> Clearance:
+        """Ask one margin [m] and one heading slack [rad] of all obstacles."""
+        rows = [[o.x_m, o.y_m, o.heading_rad, o.length_m / 2.0, o.width_m / 2.0] for o in obstacles]
+        count = len(rows)
+        return cls(
+            car,
+            bounds,
+            np.array(rows, dtype=np.float64).reshape(-1, 5),
+            np.full(count, margin_m),
+            np.full(count, slack_rad),
+        )
+
+    def eased_at(self, poses: FloatArray) -> Clearance:
+        """Ask no more of an obstacle than the car keeps at these poses (P, 3), where it stands anyway."""
+        gaps = self.gaps(poses).min(axis=0)
+        bare = replace(self, slacks_rad=np.zeros_like(self.slacks_rad)).gaps(poses).min(axis=0)
+        tight = gaps < self.margins_m
+        return replace(
+            self,
+            margins_m=np.where(tight, np.minimum(bare, self.margins_m), self.margins_m),
+            slacks_rad=np.where(tight, 0.0, self.slacks_rad),
+        )
+
+    def widened(self, by_m: float) -> Clearance:
+        """Ask for more room beside the obstacles whose heading slack was not given up."""
+        return replace(self, margins_m=self.margins_m + by_m * (self.slacks_rad > 0.0))
+
+    def gaps(self, poses: FloatArray) -> FloatArray:
+        """Gaps (P, O) between the car-box at rear-axle poses (P, 3) and the obstacles [m].
+
+        The largest distance along an axis of either box: the distance itself where a corner faces
+        a side, at most the distance where two corners face each other; negative where they overlap.
+        """
+        centres = self._centres(poses)
+        cars, boxes = np.indices((len(poses), len(self.obstacles))).reshape(2, -1)
+        return self._pair_gaps(centres, poses[:, 2], cars, boxes).reshape(len(poses), -1)
+
+    def inside(self, poses: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+        """Whether the box at rear-axle poses (P, 3) is within the bounds, (P,)."""
+        centres = self._centres(poses)
+        c, s = np.abs(np.cos(poses[:, 2])), np.abs(np.sin(poses[:, 2]))
+        a, b = self.car.length_m / 2.0 - _ROUNDING_M, self.car.width_m / 2.0 - _ROUNDING_M
+        reach_x, reach_y = a * c + b * s, a * s + b * c
+        return np.asarray(
+            (centres[:, 0] - reach_x >= self.bounds.x_min_m)
+            & (centres[:, 0] + reach_x <= self.bounds.x_max_m)
+            & (centres[:, 1] - reach_y >= self.bounds.y_min_m)
+            & (centres[:, 1] + reach_y <= self.bounds.y_max_m)
+        )
+
+    def free(self, poses: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
+        """Whether the car may be at rear-axle poses (..., 3), as (...)."""
+        flat = poses.reshape(-1, 3)
+        free = self.inside(flat)
+        if len(self.obstacles):
+            centres = self._centres(flat)
+            offsets = centres[:, None, :] - self.obstacles[None, :, :2]  # (P, O, 2)
+            reach = self._reach_m
+            near = (offsets**2).sum(axis=2) < reach**2
+            cars, boxes = np.nonzero(near & free[:, None])
+            hit = self._pair_gaps(centres, flat[:, 2], cars, boxes) < self.margins_m[boxes] - _ROUNDING_M
+            free[cars[hit]] = False
+        return free.reshape(poses.shape[:-1])
+
+    @property
+    def _reach_m(self) -> FloatArray:
+        """Distances (O,) of centres beyond which nothing can be too near."""
+        half_diagonal = np.hypot(self.car.length_m, self.car.width_m) / 2.0
+        return np.asarray(
+            half_diagonal + np.hypot(*self.obstacles[:, 3:].T) + np.maximum(self.margins_m, 0.0) * 1.5
+        )
+
+    def _centres(self, poses: FloatArray) -> FloatArray:
+        return shift_along(poses[:, 0], poses[:, 1], poses[:, 2], self.car.rear_axle_to_centre_m)
+
+    def _pair_gaps(
+        self,
+        centres: FloatArray,
+        headings: FloatArray,
+        cars: np.ndarray,
+        boxes: np.ndarray,
+    ) -> FloatArray:
+        """Gaps of pairs (N,): car pose by index, obstacle by index; the least over the heading slack."""
+        a, b = self.car.length_m / 2.0, self.car.width_m / 2.0
+        p, q = self.obstacles[boxes, 3], self.obstacles[boxes, 4]
+        dx, dy = (self.obstacles[boxes, axis] - centres[cars, axis] for axis in (0, 1))
+        turned, slack = self.obstacles[boxes, 2], self.slacks_rad[boxes]
+        co, so = np.cos(turned), np.sin(turned)
+        along_box, across_box = np.abs(dx * co + dy * so) - p, np.abs(dy * co - dx * so) - q
+        least = np.full(len(cars), np.inf)
+        turns = (-1.0, 0.0, 1.0) if slack.any() else (0.0,)
+        for turn in turns:
+            heading = headings[cars] + turn * slack
+            ch, sh = np.cos(heading), np.sin(heading)
+            c, s = np.abs(ch * co + sh * so), np.abs(sh * co - ch * so)
+            gap = np.maximum(
+                np.maximum(
+                    np.abs(dx * ch + dy * sh) - a - (p * c + q * s),
+                    np.abs(dy * ch - dx * sh) - b - (p * s + q * c),
+                ),
+                np.maximum(along_box - (a * c + b * s), across_box - (a * s + b * c)),
+            )
+            least = np.minimum(least, gap)
+        return least

@@ -1,0 +1,134 @@
+"""Shortest paths of bounded curvature (Dubins 1957), for one pair of poses or many at once.
+
+A word is three arcs, each left (L), right (R) or straight (S). The lengths of the six words in
+closed form are those of Shkel and Lumelsky, "Classification of the Dubins set" (2001).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from istc_replay.datatypes import FloatArray
+from istc_replay.guidance.curves import Pose
+
+#: The words in the order of every array here; each second is the one before, mirrored.
+WORD_NAMES = ("LSL", "RSR", "LSR", "RSL", "LRL", "RLR")
+_SIGNS = {"L": 1.0, "R": -1.0, "S": 0.0}
+#: Signed curvatures (6, 3) of the words' arcs at radius 1.
+WORD_CURVATURES = np.array([[_SIGNS[letter] for letter in name] for name in WORD_NAMES])
+_SAME = 1e-9
+
+
+@dataclass(frozen=True, slots=True)
+class Word:
+    """One of the six words with the lengths of its arcs [m] at one turning radius [m]."""
+
+    name: str
+    radius_m: float
+    lengths_m: tuple[float, float, float]
+
+    @property
+    def length_m(self) -> float:
+        """Length of the whole path."""
+        return sum(self.lengths_m)
+
+    @property
+    def curvatures_1pm(self) -> tuple[float, ...]:
+        """Signed curvature of each arc."""
+        return tuple(_SIGNS[letter] / self.radius_m for letter in self.name)
+
+
+def dubins_words(start: Pose, goal: Pose, radius_m: float) -> list[Word]:
+    """Return the words that lead from start to goal, the shortest first."""
+    lengths = word_lengths(start.as_array(), goal.as_array(), radius_m)
+    words = [
+        Word(name, radius_m, (float(t), float(p), float(q)))
+        for name, (t, p, q) in zip(WORD_NAMES, lengths, strict=True)
+        if math.isfinite(t)
+    ]
+    return sorted(words, key=lambda word: word.length_m)
+
+
+def word_lengths(starts: FloatArray, goals: FloatArray, radius_m: float) -> FloatArray:
+    """Lengths of the arcs of all six words between many pairs of poses.
+
+    Parameters
+    ----------
+    starts, goals : ndarray
+        (..., 3) poses, broadcast to one shape [m, rad].
+    radius_m : float
+        Turning radius [m].
+
+    Returns
+    -------
+    ndarray
+        (..., 6, 3) lengths [m] in the order of `WORD_NAMES`; infinite where a word does not exist.
+    """
+    dx, dy = (goals[..., axis] - starts[..., axis] for axis in (0, 1))
+    bearing = np.arctan2(dy, dx)
+    d = np.hypot(dx, dy)[..., None] / radius_m
+    # Headings from the line between the poses; a mirrored word is the word of the mirrored scene.
+    a, b = starts[..., 2] - bearing, goals[..., 2] - bearing
+    a, b = np.stack([a, -a], axis=-1), np.stack([b, -b], axis=-1)
+    turns = (np.cos(a), np.sin(a), np.cos(b), np.sin(b))
+    pairs = [solve(a, b, d, *turns) for solve in (_lsl, _lsr, _lrl)]
+    return np.asarray(radius_m * np.concatenate(pairs, axis=-2))
+
+
+def _turn(angle_rad: FloatArray) -> FloatArray:
+    """Wrap to [0, 2 pi), a whole turn less a rounding error counting as none."""
+    turn = angle_rad % (2.0 * math.pi)
+    return np.where(2.0 * math.pi - turn < 1e-12, 0.0, turn)
+
+
+def _lsl(
+    a: FloatArray,
+    b: FloatArray,
+    d: FloatArray,
+    ca: FloatArray,
+    sa: FloatArray,
+    cb: FloatArray,
+    sb: FloatArray,
+) -> FloatArray:
+    x, y = d + sa - sb, cb - ca
+    p = np.hypot(x, y)
+    # Where start and goal lie on one circle the straight arc has no direction.
+    heading = np.where(p < _SAME, b, np.arctan2(y, x))
+    return np.stack([_turn(heading - a), np.where(p < _SAME, 0.0, p), _turn(b - heading)], axis=-1)
+
+
+def _lsr(
+    a: FloatArray,
+    b: FloatArray,
+    d: FloatArray,
+    ca: FloatArray,
+    sa: FloatArray,
+    cb: FloatArray,
+    sb: FloatArray,
+) -> FloatArray:
+    x, y = d + sa + sb, -ca - cb
+    square = x * x + y * y - 4.0
+    p = np.sqrt(np.maximum(square, 0.0))
+    heading = np.arctan2(y, x) - np.arctan2(-2.0, p)
+    lengths = np.stack([_turn(heading - a), p, _turn(heading - b)], axis=-1)
+    return np.where((square < -_SAME)[..., None], np.inf, lengths)
+
+
+def _lrl(
+    a: FloatArray,
+    b: FloatArray,
+    d: FloatArray,
+    ca: FloatArray,
+    sa: FloatArray,
+    cb: FloatArray,
+    sb: FloatArray,
+) -> FloatArray:
+    x, y = d + sa - sb, cb - ca
+    distance = np.hypot(x, y)
+    p = 2.0 * math.pi - 2.0 * np.arcsin(np.minimum(distance / 4.0, 1.0))
+    t = _turn(np.arctan2(y, x) - a + p / 2.0)
+    lengths = np.stack([t, p, _turn(b - a - t + p)], axis=-1)
+    return np.where((distance > 4.0)[..., None], np.inf, lengths)
