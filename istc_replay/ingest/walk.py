@@ -9,12 +9,17 @@ from __future__ import annotations
 
 import hashlib
 import mmap
+import struct
 from bisect import bisect_right
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from istc_replay.datatypes import Problem
 from istc_replay.errors import LogError
+from istc_replay.ingest.batches import Batch, heads, rows
 from istc_replay.ingest.definitions import Definitions
 from istc_replay.ingest.inflate import CHUNK_LIMIT, InflateError, Inflater
 from istc_replay.ingest.problems import Problems, quoted
@@ -44,7 +49,9 @@ from istc_replay.ingest.summary import Summary, read_summary
 #: Metadata and attachments held at once [bytes, records].
 _HELD_BYTES = 128 * 2**20
 _HELD_RECORDS = 10_000
-_INT64_MAX = 2**63 - 1
+#: Messages outside of chunks that make one batch [records, bytes].
+_BATCH_RECORDS = 16_384
+_BATCH_BYTES = 16 * 2**20
 _SKIPPED = frozenset(Opcode) - {Opcode.FOOTER}
 
 Wanted = Callable[[Channel], bool]
@@ -145,7 +152,12 @@ class LogFile:
         return self._buffer[attachment.start : attachment.start + attachment.size]
 
     def messages(self, wanted: Wanted | None = None) -> Iterator[Message]:
-        """Walk the file from its start and give the messages in file order.
+        """Walk as `batches` does, and give the messages one by one."""
+        for batch in self.batches(wanted):
+            yield from batch.messages()
+
+    def batches(self, wanted: Wanted | None = None) -> Iterator[Batch]:
+        """Walk the file from its start and give the messages in file order, by the chunk.
 
         Parameters
         ----------
@@ -154,8 +166,8 @@ class LogFile:
 
         Yields
         ------
-        Message
-            Each message whose record, and chunk, is whole.
+        Batch
+            The messages whose records, and chunk, are whole.
         """
         self._reset(wanted)
         self._read_summary()
@@ -195,25 +207,30 @@ class LogFile:
 
     # --- the walk ----------------------------------------------------------------------------
 
-    def _segment(self, begin: int) -> Generator[Message, None, int | None]:
+    def _segment(self, begin: int) -> Generator[Batch, None, int | None]:
         """Walk one MCAP file; returns where the next begins, if another is joined to its end."""
         self._begin, self._data_over = begin, False
         position: int | None = begin + len(MAGIC)
+        loose: list[int] = []  # messages outside of chunks
         while position is not None:
             head = self._head(position)
+            if head is not None and head[0] == Opcode.MESSAGE:
+                loose.append(position)
+                position = head[2]
+                if len(loose) < _BATCH_RECORDS and position - loose[0] < _BATCH_BYTES:
+                    continue
+            if loose:
+                yield from self._batch(self._buffer, loose, None)
+                loose = []
             if head is None:
                 position = self._next_anchor(position)
                 continue
             opcode, start, end = head
-            if opcode == Opcode.MESSAGE:
-                message = self._message(self._buffer, start, end, position)
-                if message is not None:
-                    yield message
-            elif opcode == Opcode.CHUNK:
+            if opcode == Opcode.CHUNK:
                 yield from self._chunk(start, end, position)
             elif opcode == Opcode.FOOTER and self._ends_at(end):
                 return self._after(end)
-            else:
+            elif opcode != Opcode.MESSAGE:
                 self._other(opcode, start, end, position)
             position = end
         return None
@@ -269,7 +286,7 @@ class LogFile:
         )
         return None
 
-    def _chunk(self, start: int, end: int, offset: int) -> Iterator[Message]:
+    def _chunk(self, start: int, end: int, offset: int) -> Iterator[Batch]:
         self.chunk_count += 1
         try:
             chunk = parse_chunk(Fields(self._buffer, start, end))
@@ -285,53 +302,99 @@ class LogFile:
         except MalformedRecordError as error:
             self._problems.lose("chunk_damaged", f"{error}; the rest of the chunk is left out", offset)
 
-    def _chunk_records(self, data: bytes, offset: int) -> Iterator[Message]:
-        position, size = 0, len(data)
+    def _chunk_records(self, data: bytes, offset: int) -> Iterator[Batch]:
+        position, size, messages = 0, len(data), []
+        unpack, kind = RECORD.unpack_from, int(Opcode.MESSAGE)
+        damage = ""
         while position < size:
-            start = position + RECORD.size
-            if start > size:
-                raise MalformedRecordError("a chunk ends inside the head of a record")
-            opcode, length = RECORD.unpack_from(data, position)
-            position = start + length
-            if position > size or not opcode:
-                detail = (
+            try:
+                opcode, length = unpack(data, position)
+            except struct.error:
+                damage = "a chunk ends inside the head of a record"
+                break
+            start = position + 9
+            end = start + length
+            if end > size or not opcode:
+                damage = (
                     f"a record of kind {opcode} and {length} bytes where its chunk has {size - start} left"
                 )
-                raise MalformedRecordError(detail)
-            if opcode == Opcode.MESSAGE:
-                message = self._message(data, start, position, offset)
-                if message is not None:
-                    yield message
-            elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                self._definitions.declare(opcode, Fields(data, start, position), offset)
+                break
+            if opcode == kind:
+                messages.append(position)
             else:
-                self._problems.add(
-                    "unexpected_record", f"record kind {opcode} inside a chunk is not read", offset
-                )
+                if messages:  # what is declared holds for the messages behind it
+                    yield from self._batch(data, messages, offset)
+                    messages = []
+                self._chunk_other(opcode, Fields(data, start, end), offset)
+            position = end
+        if messages:
+            yield from self._batch(data, messages, offset)
+        if damage:
+            raise MalformedRecordError(damage)
 
-    def _message(self, buffer: Buffer, start: int, end: int, offset: int) -> Message | None:
-        if not MESSAGE.size <= end - start <= MESSAGE.size + CHUNK_LIMIT:
-            self._problems.lose("record_damaged", f"a message record of {end - start} bytes", offset)
-            return None
-        channel_id, sequence, log_time_ns, publish_time_ns = MESSAGE.unpack_from(buffer, start)
-        self.message_count += 1
-        if log_time_ns <= _INT64_MAX:
-            self.start_ns = log_time_ns if self.start_ns is None else min(self.start_ns, log_time_ns)
-            self.end_ns = log_time_ns if self.end_ns is None else max(self.end_ns, log_time_ns)
-        channel = self._definitions.channels.get(channel_id)
-        if channel is None:
-            self._problems.lose(
-                "unknown_channel", f"a message of channel {channel_id}, which is not declared", offset
-            )
-            return None
-        self.counts[channel] = self.counts.get(channel, 0) + 1
-        wanted = self._wanted.get(channel)
-        if wanted is None:
-            wanted = self._wanted[channel] = self._wants is None or self._wants(channel)
-        if not wanted:
-            return None
-        data = buffer[start + MESSAGE.size : end]
-        return Message(channel, sequence, log_time_ns, publish_time_ns, data, offset)
+    def _chunk_other(self, opcode: int, fields: Fields, offset: int) -> None:
+        if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+            self._definitions.declare(opcode, fields, offset)
+        else:
+            detail = f"record kind {opcode} inside a chunk is not read"
+            self._problems.add("unexpected_record", detail, offset)
+
+    def _batch(self, buffer: Buffer, messages: list[int], offset: int | None) -> Iterator[Batch]:
+        """Count the message records at these positions and give the wanted ones.
+
+        offset is the chunk's; None where the positions are those in the file.
+        """
+        data = np.frombuffer(buffer, np.uint8)
+        positions = np.array(messages, np.int64)
+        lengths = rows(data, positions + 1, 8).view("<u8").reshape(-1)
+        whole = (lengths >= MESSAGE.size) & (lengths <= MESSAGE.size + CHUNK_LIMIT)
+        if not whole.all():
+            for row in np.flatnonzero(~whole).tolist():
+                detail = f"a message record of {lengths[row]} bytes"
+                self._problems.lose("record_damaged", detail, messages[row] if offset is None else offset)
+            positions, lengths = positions[whole], lengths[whole]
+            if not len(positions):
+                return
+        head = heads(data, positions)
+        self.message_count += len(head)
+        self._span(head["log_time"])
+        offsets = positions if offset is None else np.full(len(positions), offset, np.int64)
+        channels = self._count(head["channel"], offsets)
+        ids = head["channel"]
+        if len(channels) < len(np.unique(ids)):
+            given = np.isin(ids, list(channels))
+            head, positions, offsets, lengths = head[given], positions[given], offsets[given], lengths[given]
+        if len(head):
+            starts = positions + RECORD.size + MESSAGE.size
+            ends = positions + RECORD.size + lengths.astype(np.int64)
+            columns = (head[name] for name in ("channel", "sequence", "log_time", "publish_time"))
+            yield Batch(buffer, channels, *map(np.ascontiguousarray, columns), starts, ends, offsets)
+
+    def _span(self, log_times_ns: NDArray[np.uint64]) -> None:
+        known = log_times_ns[log_times_ns < 2**63]
+        if len(known):
+            first, last = int(known.min()), int(known.max())
+            self.start_ns = first if self.start_ns is None else min(self.start_ns, first)
+            self.end_ns = last if self.end_ns is None else max(self.end_ns, last)
+
+    def _count(self, ids: NDArray[np.uint16], offsets: NDArray[np.int64]) -> dict[int, Channel]:
+        """Count messages by channel; returns the wanted channels among them."""
+        found, counts = np.unique(ids, return_counts=True)
+        channels: dict[int, Channel] = {}
+        for channel_id, count in zip(found.tolist(), counts.tolist(), strict=True):
+            channel = self._definitions.channels.get(channel_id)
+            if channel is None:
+                detail = f"a message of channel {channel_id}, which is not declared"
+                for offset in offsets[ids == channel_id].tolist():
+                    self._problems.lose("unknown_channel", detail, offset)
+                continue
+            self.counts[channel] = self.counts.get(channel, 0) + count
+            wanted = self._wanted.get(channel)
+            if wanted is None:
+                wanted = self._wanted[channel] = self._wants is None or self._wants(channel)
+            if wanted:
+                channels[channel_id] = channel
+        return channels
 
     # --- records that are not messages ---------------------------------------------------------
 
