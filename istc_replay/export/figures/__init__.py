@@ -63,10 +63,8 @@ def draw_figures(result: Result, window: int) -> dict[str, Figure]:
 def draw_scene(scene: WindowScene, own_pages: int | None = None) -> dict[str, Figure]:
     """Draw the pictures of a gathered window, with at most `own_pages` pages of own corridors."""
     figures: dict[str, Figure] = {}
-    planned = closest_pair(scene.planned, _PLANNED_STEP_S)
-    alike = {name: track for name, track in scene.recorded.items() if name in scene.planned}
-    # The same vehicles are compared; without a plan, all that were recorded.
-    recorded = closest_pair(alike or scene.recorded)
+    as_recorded, as_planned = scene.compared
+    recorded, planned = closest_pair(as_recorded), closest_pair(as_planned, _PLANNED_STEP_S)
     with drawing_style():
         if scene.corridors:
             figures["corridors"] = draw_all_corridors(scene)

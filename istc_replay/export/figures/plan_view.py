@@ -32,8 +32,8 @@ View = tuple[float, float, float, float]
 
 _WIDTH_IN = 9.9
 _FRAMES = 6
-#: Half the side of a filmstrip's frame is at least this [m].
-_NEAR_M = 14.0
+#: Half the side of a filmstrip's frame: at least this, else what is driven in this time up to that.
+_NEAR_M, _NEAR_S, _FAR_M = 14.0, 1.2, 40.0
 _TICK_M = 0.9
 _LABELS = 60
 _SCALES_M = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
@@ -59,11 +59,15 @@ def draw_top_down(scene: WindowScene, recorded: ClosestPair | None) -> Figure:
         _draw_ground(axes, scene)
         for name, track in tracks.items():
             _draw_path(axes, scene, name, track, look)
-        _label_seconds(axes, scene, tracks)
+        # What has no plan moves as it was recorded, and the plan keeps clear of it.
+        others = {name: track for name, track in scene.recorded.items() if name not in tracks}
+        for name, track in others.items():
+            _draw_path(axes, scene, name, track, _RECORDED)
+        _label_seconds(axes, scene, tracks | others)
         axes.set_title(title)
         if recorded is not None:
-            _draw_boxes(axes, scene, tracks, recorded.time_s, filled=True)
-            axes.set_title(f"{title}; boxes at {recorded.time_s:.1f} s")
+            _draw_boxes(axes, scene, tracks | others, recorded.time_s, filled=True)
+            axes.set_title(f"{title}; boxes at {recorded.time_s:.2f} s")
             if recorded.least_m < _CLOSE_M:
                 axes.plot(*recorded.place_m, "o", markersize=30, mfc="none", markeredgecolor=CONTACT)
         _draw_scale(axes)
@@ -93,10 +97,13 @@ def _top_down_axes(panels: int, ratio: float, styles: list[VehicleStyle]) -> tup
 
 def draw_filmstrip(scene: WindowScene, conflict: ClosestPair) -> Figure:
     """Draw instants about the closest approach of the recording: cubes, planned and recorded boxes."""
-    step_s = max(scene.unit_s, scene.duration_s / 12.0)
+    speed_mps = max(_speed(scene.recorded[name], conflict.time_s) for name in conflict.pair)
+    reach = max(_NEAR_M, 3.0 * max(scene.recorded[name].length_m for name in conflict.pair))
+    reach = max(reach, min(_NEAR_S * speed_mps, _FAR_M))
+    # Fast vehicles cross the picture soon: more of it is shown, in shorter steps.
+    step_s = min(max(scene.unit_s, scene.duration_s / 12.0), max(0.4 * reach / max(speed_mps, 0.1), 0.2))
     first_s = float(np.clip(conflict.time_s - 2.5 * step_s, 0.0, max(scene.duration_s - 5.0 * step_s, 0.0)))
     times_s = np.minimum(first_s + step_s * np.arange(_FRAMES), scene.duration_s)
-    reach = max(_NEAR_M, 3.0 * max(scene.recorded[name].length_m for name in conflict.pair))
     x, y = conflict.place_m
     columns, rows = 3, ceil(_FRAMES / 3)
     side = (_WIDTH_IN - 0.9) / columns - 0.15
@@ -118,7 +125,7 @@ def draw_filmstrip(scene: WindowScene, conflict: ClosestPair) -> Figure:
         _draw_cubes(axes, scene, float(time_s))
         _draw_boxes(axes, scene, scene.recorded, float(time_s), filled=False)
         _draw_boxes(axes, scene, scene.planned, float(time_s), filled=True)
-        axes.set_title(f"t = {time_s:.1f} s")
+        axes.set_title(f"t = {time_s:.2f} s")
     meaning: list[tuple[str, dict[str, Any]]] = [
         ("box as recorded", {"linestyle": (0, (2, 1.2)), "linewidth": 1.1})
     ]
@@ -128,6 +135,14 @@ def draw_filmstrip(scene: WindowScene, conflict: ClosestPair) -> Figure:
     foot_legend(figure, styles, meaning)
     origin_note(figure, scene.origin_m, at_top=True)
     return figure
+
+
+def _speed(track: Track, time_s: float) -> float:
+    """Mean speed over the half seconds about a time, as far as the track reaches [m/s]."""
+    times_s = np.clip([time_s - 0.5, time_s + 0.5], track.times_s[0], track.times_s[-1])
+    before, after = track.at(times_s)[:, :2]
+    moved_m = float(np.hypot(*(after - before)))
+    return moved_m / float(times_s[1] - times_s[0]) if moved_m > 0.0 else 0.0
 
 
 def _view(scene: WindowScene) -> View:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Collection, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from functools import cache
@@ -95,17 +95,15 @@ def _settings() -> Any:
     return defaults | _STYLE
 
 
-def vehicle_styles(vehicle_ids: Iterable[str]) -> dict[str, VehicleStyle]:
+def vehicle_styles(vehicle_ids: Iterable[str], excluded: Collection[str] = ()) -> dict[str, VehicleStyle]:
     """Give each vehicle of a result its colour, marker and drawable label."""
-    return {
-        vehicle_id: VehicleStyle(hex_colour(colour), MARKERS[index % len(MARKERS)], _label(vehicle_id))
-        for index, (vehicle_id, colour) in enumerate(vehicle_colours(vehicle_ids).items())
-    }
-
-
-def _label(vehicle_id: str) -> str:
-    # A bare number could be read as a second or a coordinate.
-    return drawable(f"vehicle {vehicle_id}" if vehicle_id.isdigit() else vehicle_id)
+    styles = {}
+    for index, (vehicle_id, colour) in enumerate(vehicle_colours(vehicle_ids).items()):
+        # A bare number could be read as a second or a coordinate; what is left out may be no vehicle.
+        kind = "" if not vehicle_id.isdigit() else "no. " if vehicle_id in excluded else "vehicle "
+        marker = MARKERS[index % len(MARKERS)]
+        styles[vehicle_id] = VehicleStyle(hex_colour(colour), marker, drawable(kind + vehicle_id))
+    return styles
 
 
 def hex_colour(colour: tuple[int, int, int]) -> str:

@@ -104,6 +104,18 @@ class WindowScene:
     standing_m: FloatArray
     config: Config
 
+    @property
+    def compared(self) -> tuple[dict[str, Track], dict[str, Track]]:
+        """Recorded and planned tracks to compare.
+
+        They are of the planned vehicles where there are several. Else they are of all, and what
+        has no plan moves as recorded in both.
+        """
+        alike = {name: track for name, track in self.recorded.items() if name in self.planned}
+        if len(alike) > 1:
+            return alike, self.planned
+        return self.recorded, self.recorded | self.planned if self.planned else {}
+
 
 def window_summary(result: Result, window: int) -> dict[str, Any]:
     """Return the figures of one window.
@@ -149,7 +161,10 @@ def window_scene(result: Result, window: int) -> WindowScene:
         duration_s=max((end_ns - start_ns) / NS_PER_S, 1e-3),
         unit_s=float(entry.get("unit_s") or config.window.unit_s),
         origin_m=origin_m,
-        styles=vehicle_styles(result.states["vehicle_id"].unique().drop_nulls()),
+        styles=vehicle_styles(
+            result.states["vehicle_id"].unique().drop_nulls(),
+            {str(left.get("vehicle_id")) for left in entry.get("exclusions") or []},
+        ),
         recorded=tracks["recorded"],
         planned=tracks["planned"] if has_plan else {},
         guidance=tracks["guidance"] if has_plan else {},

@@ -23,23 +23,24 @@ _CAPTIONS = {
     "vehicle has to itself for one time unit. Markers are the pivotal points.",
     "own_corridors": "Each vehicle's own corridor with its planned trajectory inside, and its box at the "
     "boundaries of the time units. Each panel is turned so that its path is seen best.",
-    "top_down": "Trajectories from above as recorded, and beside or below that as planned. Ticks mark whole "
-    "seconds from the window's start. Boxes stand at the instant at which the recording brings two of the "
-    "planned vehicles closest; a ring marks the place where they are less than 4 m apart.",
+    "top_down": "Trajectories from above as recorded, and beside or below that as planned; what has no plan "
+    "stays dashed. Ticks mark whole seconds from the window's start. Boxes stand at the instant at which the "
+    "recording brings two of them closest; a ring marks the place if they are less than 4 m apart.",
     "filmstrip": "Instants about the closest approach of the recording. Dashed boxes are recorded, filled "
     "ones planned, with the corridor-cubes of that instant around them.",
     "speed_acceleration": "Speed and acceleration, recorded and planned. Limits far from all lines are not "
     "drawn.",
-    "separation": "Gap between the two closest boxes of the planned vehicles: recorded at the instants of "
-    "the recording, planned every 0.02 s. Below zero they overlap; gaps far above the least are cut off.",
+    "separation": "Gap between the two closest boxes, of the planned vehicles where there are several, else "
+    "of all: recorded at the instants of the recording, planned every 0.02 s. Below zero they overlap; gaps "
+    "far above the least are cut off.",
 }
 _RECORDED_CAPTIONS = {
     "top_down": "Trajectories from above as recorded. Ticks mark whole seconds from the window's start. "
-    "Boxes stand at the instant at which two vehicles are closest; a ring marks the place where they are "
-    "less than 4 m apart.",
+    "Boxes stand at the instant at which two are closest; a ring marks the place if they are less than 4 m "
+    "apart.",
     "filmstrip": "Instants about the closest approach of the recording.",
     "speed_acceleration": "Speed and acceleration as recorded.",
-    "separation": "Gap between the two closest boxes of all recorded vehicles at the instants of the "
+    "separation": "Gap between the two closest boxes of all that was recorded, at the instants of the "
     "recording. Below zero they overlap; gaps far above the least are cut off.",
 }
 _ORDER = ("corridors", "own_corridors", "top_down", "filmstrip", "speed_acceleration", "separation")

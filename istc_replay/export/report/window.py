@@ -62,7 +62,7 @@ def window_section(
     return element(
         "section",
         element("h2", f"Window {entry['index']}"),
-        element("p", f"{moment(start_ns)}, {number(length_s, 1, 's')} in {units}"),
+        element("p", f"From {moment(start_ns)}, {number(length_s, 1, 's')} long, in {units}."),
         verdict_box(entry, certificates, verdict),
         body,
         class_="window",
