@@ -347,13 +347,13 @@ def view(result: Path, save: Path | None) -> None:
     if save is None:
         _show(result)
         return
-    from istc_replay.pipeline import save_view
+    from istc_replay.export.rerun_view import save_view
 
     save_view(result, save)
     click.echo(_line(save))
 
 
 def _show(result: Path) -> None:
-    from istc_replay.pipeline import show_view
+    from istc_replay.export.rerun_view import show_view
 
     show_view(result)

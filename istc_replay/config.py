@@ -143,10 +143,12 @@ class CorridorsConfig(_Section):
     """Largest second difference sideways."""
     gap_tolerance: Positive = 1e-3
     """Certified means (objective - bound) / max(1, |objective|) at most this."""
-    tree_node_budget: Count = 4000
+    tree_node_budget: Count = 800
     """Nodes of the conflict tree."""
-    milp_node_budget: Count = 200_000
-    """Nodes of all branch-and-bound runs of one certificate."""
+    milp_node_budget: Count = 20_000
+    """Nodes of all branch-and-bound runs of one proof."""
+    proof_binaries_max: Count = 400
+    """A problem with more binaries is not proven: its bound is that without conflicts."""
     rounds: Count = 12
     """Rounds of the outer approximation."""
     emergency_stop_s: Positive = 300.0

@@ -292,26 +292,6 @@ def write_sample(scene: str, out: Path) -> None:
         file.write_bytes(data)
 
 
-def save_view(result: Path, out: Path) -> None:
-    """Make the view of a result (its folder or result.mcap) anew, from result.mcap alone."""
-    from istc_replay.config import parse_config
-    from istc_replay.export.rerun_view import write_view
-    from istc_replay.ingest.result import load_result_folder
-
-    loaded = load_result_folder(result)
-    write_view(loaded, parse_config(loaded.config_toml).view, out)
-
-
-def show_view(result: Path) -> None:
-    """Open a result in Rerun's own viewer; its view.rrd is made anew where it is missing."""
-    from istc_replay.export.rerun_view import show_native
-
-    file = (result if result.is_dir() else result.parent) / "view.rrd"
-    if not file.is_file():
-        save_view(result, file)
-    show_native(file)
-
-
 @cache
 def versions() -> dict[str, str]:
     """Versions of everything that a result depends on."""

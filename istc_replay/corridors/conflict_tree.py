@@ -1,38 +1,48 @@
-"""Stage A: pivotal points alone, by a best-first conflict tree over convex QPs.
+"""Stage A: pivotal points without conflicts, by a conflict tree over convex QPs.
 
-The least cube of a unit is the hull of the car-boxes at its two pivotal points, so every option
-of a disjunction is at most four linear rows of the pivotal points, without a big M. A node adds
-options; its QP bounds what lies below it; a node without conflict that is first in the queue is
-the optimum of the pivotal points.
+A node enforces options; its QP bounds everything below it. The tree *plunges*: from the best open
+node it follows the best child down to a solution, so that one is found after about as many nodes
+as there are conflicts; the open nodes then prove it, or find a better one. Where that does not end
+soon, neighbourhoods are searched: one vehicle, then pairs, give up their options and choose anew.
 """
 
 from __future__ import annotations
 
 import heapq
-from dataclasses import dataclass
-from itertools import count
+from dataclasses import dataclass, field
+from itertools import combinations, count
 from typing import TYPE_CHECKING
 
-import daqp
 import numpy as np
 
-from istc_replay.corridors.problem import CONSTANT, OptionTable
+from istc_replay.corridors.pivot_qp import Choices, PivotQp, PivotSolution
+from istc_replay.corridors.problem import OptionTable
 
 if TYPE_CHECKING:
-    from istc_replay.corridors.problem import CorridorProblem, Option
+    from collections.abc import Iterator
+
+    from istc_replay.corridors.problem import CorridorProblem
     from istc_replay.datatypes import FloatArray
 
 #: A conflict smaller than this is closed by rounding, not by branching.
 CONFLICT_M = 1e-6
-_OPTIMAL = (1, 2)  # DAQP's exit flags of an optimal solution
+#: A solution must be better by this share to count as one.
+_BETTER = 1e-4
+#: Cost of a metre of overlap that is left, in the order in which children are followed.
+_OVERLAP_COST = 1.0
+#: What a second way out is worth where there is none [m].
+_NO_WAY_OUT_M = 100.0
+#: Share of the budget for the whole tree before neighbourhoods are searched, and theirs each.
+_TREE_SHARE = 0.25
+_NEIGHBOURHOOD_NODES = {1: 60, 2: 120}
 
 
 @dataclass(frozen=True, slots=True)
 class TreeOutcome:
     """What the tree found: z with least cubes, or None; and how many nodes it took.
 
-    `exhausted` tells that no node is left, so that None means infeasible. `last_conflict` is the
-    disjunction that stayed open in the best node where the budget ended.
+    `exhausted` tells that the whole tree was searched: z is the optimum of the pivotal points, or
+    where it is None there is none. `last_conflict` is the disjunction that stayed open.
     """
 
     z: FloatArray | None
@@ -42,7 +52,7 @@ class TreeOutcome:
 
 
 def search(problem: CorridorProblem, node_budget: int) -> TreeOutcome:
-    """Find the pivotal points of least eq. (3) without conflict.
+    """Find pivotal points of small eq. (3) without conflict.
 
     Parameters
     ----------
@@ -51,120 +61,134 @@ def search(problem: CorridorProblem, node_budget: int) -> TreeOutcome:
     node_budget : int
         Largest number of QPs.
     """
-    quadratic = _PivotQp(problem)
-    table = OptionTable.of(problem)
-    order = count()
-    root = quadratic.solve(())
-    if root is None:
-        return TreeOutcome(None, 1, exhausted=True)
-    queue: list[tuple[float, int, tuple[tuple[int, int], ...], FloatArray]] = [
-        (root[0], next(order), (), root[1])
-    ]
-    nodes, conflict = 1, None
-    while queue:
-        _, _, chosen, z = heapq.heappop(queue)
-        walls = problem.least_cubes(z)
-        conflict = _worst_conflict(table.slack(walls))
-        if conflict is None:
-            return TreeOutcome(walls, nodes, exhausted=False)
-        for option in range(len(problem.disjunctions[conflict].options)):
-            if nodes >= node_budget:
-                return TreeOutcome(None, nodes, exhausted=False, last_conflict=conflict)
-            child = (*chosen, (conflict, option))
-            solved = quadratic.solve(child)
-            nodes += 1
-            if solved is not None:
-                heapq.heappush(queue, (solved[0], next(order), child, solved[1]))
-    return TreeOutcome(None, nodes, exhausted=True, last_conflict=conflict)
+    tree = _Tree(problem, node_budget)
+    # Until there is a solution the whole budget may go into finding one.
+    exhausted = tree.plunge((), limit=round(_TREE_SHARE * node_budget), solution_first=True)
+    if not exhausted and tree.best is not None:
+        tree.improve()
+    z = None if tree.best is None else tree.best.z
+    return TreeOutcome(z, tree.nodes, exhausted, tree.last_conflict)
 
 
-def _worst_conflict(slack: FloatArray) -> int | None:
-    """Branch where the overlap is largest and a second way out is far."""
-    if len(slack) == 0:
-        return None
-    ordered = np.sort(slack, axis=1)[:, ::-1]
-    overlap = -ordered[:, 0]
-    if overlap.max() <= CONFLICT_M:
-        return None
-    second = np.where(np.isfinite(ordered[:, 1]), -ordered[:, 1], 100.0)
-    return int(np.argmax(np.where(overlap > CONFLICT_M, overlap + second / 2.0, -np.inf)))
+@dataclass(slots=True)
+class _Tree:
+    problem: CorridorProblem
+    budget: int
+    nodes: int = 0
+    best: PivotSolution | None = None
+    best_choices: Choices = ()
+    last_conflict: int | None = None
+    _qp: PivotQp = field(init=False)
+    _table: OptionTable = field(init=False)
 
+    def __post_init__(self) -> None:
+        self._qp = PivotQp(self.problem)
+        self._table = OptionTable.of(self.problem)
 
-class _PivotQp:
-    """The convex QP of the pivotal points with rows for chosen options."""
+    @property
+    def cutoff(self) -> float:
+        """Cost that a node must stay below to be worth anything."""
+        return np.inf if self.best is None else self.best.cost * (1.0 - _BETTER)
 
-    def __init__(self, problem: CorridorProblem) -> None:
-        self._problem = problem
-        self._pivots = problem.pivot_indices
-        size = len(self._pivots)
-        column = np.full(problem.size + 1, CONSTANT, dtype=np.int64)
-        column[self._pivots] = np.arange(size)
-        self._column = column
-        rows = [row for row in problem.rows if all(column[i] != CONSTANT for i in row.index)]
-        self._base = np.zeros((len(rows), size))
-        for r, row in enumerate(rows):
-            self._base[r, column[list(row.index)]] = row.weight
-        self._low = np.array([row.lower for row in rows])
-        self._high = np.array([row.upper for row in rows])
-        # Scaled to a unit Hessian about the reference, z = reference + y / root: DAQP's own form.
-        self._root = np.sqrt(2.0 * problem.quadratic[self._pivots])
-        self._low_bound = problem.lower[self._pivots]
-        self._high_bound = problem.upper[self._pivots]
-        self._cache: dict[tuple[int, int], tuple[FloatArray, FloatArray]] = {}
+    def plunge(self, root: Choices, limit: int, *, solution_first: bool = False) -> bool:
+        """Search below `root` for `limit` nodes; with `solution_first`, on until there is a solution.
 
-    def solve(self, chosen: tuple[tuple[int, int], ...]) -> tuple[float, FloatArray] | None:
-        """Objective of eq. (3) and z (walls unset), or None where infeasible."""
-        extra = [self._option_rows(*choice) for choice in chosen]
-        matrix = np.vstack([self._base, *(rows for rows, _ in extra)])
-        low = np.concatenate([self._low, *(bound for _, bound in extra)])
-        high = np.concatenate([self._high, np.full(len(low) - len(self._low), np.inf)])
-        reference = self._problem.reference[self._pivots]
-        shift = matrix @ reference
-        size = len(self._pivots)
-        upper = np.concatenate([(self._high_bound - reference) * self._root, high - shift])
-        lower = np.concatenate([(self._low_bound - reference) * self._root, low - shift])
-        y, _, flag, _ = daqp.solve(
-            np.eye(size),
-            np.zeros(size),
-            matrix / self._root,
-            np.minimum(upper, 1e30),
-            np.maximum(lower, -1e30),
-            np.zeros(len(upper), dtype=np.int32),
-        )
-        if flag not in _OPTIMAL:
+        Returns
+        -------
+        bool
+            Whether nothing below `root` is left to search.
+        """
+        end = min(self.budget, self.nodes + limit)
+        start = self._solve(root, None)
+        if start is None or start.cost >= self.cutoff:
+            return True
+        order = count()
+        queue: list[tuple[float, int, Choices, PivotSolution]] = [(start.cost, next(order), root, start)]
+        while queue:
+            if self.nodes >= (self.budget if solution_first and self.best is None else end):
+                return False
+            cost, _, choices, node = heapq.heappop(queue)
+            if cost >= self.cutoff:
+                return True
+            for sibling, at in self._dive(choices, node):
+                heapq.heappush(queue, (sibling.cost, next(order), at, sibling))
+        return True
+
+    def _dive(self, choices: Choices, node: PivotSolution) -> Iterator[tuple[PivotSolution, Choices]]:
+        """Follow the best child down to a solution or a dead end; gives the children passed by."""
+        while True:
+            conflict = self._worst_conflict(node.z)
+            if conflict is None:
+                self.best, self.best_choices = node, choices
+                return
+            self.last_conflict = conflict
+            children = self._children(choices, node, conflict)
+            if not children:
+                return
+            yield from ((child, at) for _, child, at in children[1:])
+            if self.nodes >= self.budget:
+                yield children[0][1:]
+                return
+            _, node, choices = children[0]
+
+    def _children(
+        self, choices: Choices, node: PivotSolution, conflict: int
+    ) -> list[tuple[float, PivotSolution, Choices]]:
+        children = []
+        for option in range(len(self.problem.disjunctions[conflict].options)):
+            at = (*choices, (conflict, option))
+            child = self._solve(at, node.multipliers)
+            if child is not None and child.cost < self.cutoff:
+                overlap = np.maximum(-self._slack(child.z).max(axis=1), 0.0).sum()
+                children.append((child.cost + _OVERLAP_COST * float(overlap), child, at))
+        children.sort(key=lambda entry: entry[0])
+        return children
+
+    def improve(self) -> None:
+        """Neighbourhoods of the best solution, costliest first, until none gives a better one."""
+        for size, nodes in _NEIGHBOURHOOD_NODES.items():
+            tried: set[tuple[str, ...]] = set()
+            while self.nodes < self.budget:
+                group = self._costliest_group(size, tried)
+                if group is None:
+                    break
+                before = self.best
+                kept = tuple(c for c in self.best_choices if not self._concerns(c[0], group))
+                self.plunge(kept, nodes)
+                if self.best is not before:
+                    tried = {other for other in tried if not set(other) & set(group)}
+                tried.add(group)
+
+    def _costliest_group(self, size: int, tried: set[tuple[str, ...]]) -> tuple[str, ...] | None:
+        if self.best is None:
             return None
-        z = np.zeros(self._problem.size)
-        z[self._pivots] = reference + np.asarray(y) / self._root
-        return float(np.asarray(y) @ np.asarray(y)) / 2.0, z
+        z, problem, costs = self.best.z, self.problem, {}
+        for block in problem.blocks:
+            index = block.pivot[1:].ravel()
+            costs[block.vehicle_id] = float(
+                problem.quadratic[index] @ (z[index] - problem.reference[index]) ** 2
+            )
+        groups = [group for group in combinations(costs, size) if group not in tried]
+        return max(groups, key=lambda group: sum(costs[vehicle] for vehicle in group), default=None)
 
-    def _option_rows(self, disjunction: int, option: int) -> tuple[FloatArray, FloatArray]:
-        key = (disjunction, option)
-        if key not in self._cache:
-            self._cache[key] = self._separation(self._problem.disjunctions[disjunction].options[option])
-        return self._cache[key]
+    def _concerns(self, disjunction: int, group: tuple[str, ...]) -> bool:
+        pair = self.problem.disjunctions[disjunction]
+        return pair.first in group or (pair.equation == "eq. (5)" and pair.second in group)
 
-    def _separation(self, option: Option) -> tuple[FloatArray, FloatArray]:
-        """Rows that separate the least cubes: every point of one side from every point of the other."""
-        rows, bounds = [], []
-        for larger, larger_offset in self._points(option.larger):
-            for smaller, smaller_offset in self._points(option.smaller):
-                row = np.zeros(len(self._pivots))
-                if larger != CONSTANT:
-                    row[self._column[larger]] += 1.0
-                if smaller != CONSTANT:
-                    row[self._column[smaller]] -= 1.0
-                bound = option.gap - larger_offset + smaller_offset
-                # Rows of constants alone hold already, or rule the option out.
-                if row.any() or bound > 0.0:
-                    rows.append(row)
-                    bounds.append(bound)
-        return np.array(rows).reshape(-1, len(self._pivots)), np.array(bounds)
+    def _solve(self, choices: Choices, multipliers: FloatArray | None) -> PivotSolution | None:
+        self.nodes += 1
+        return self._qp.solve(choices, multipliers)
 
-    def _points(self, wall: int) -> list[tuple[int, float]]:
-        if wall == CONSTANT:
-            return [(CONSTANT, 0.0)]
-        problem = self._problem
-        return [
-            (int(index), float(offset))
-            for index, offset in zip(problem.witness[wall], problem.witness_offset_m[wall], strict=True)
-        ]
+    def _slack(self, z: FloatArray) -> FloatArray:
+        return self._table.slack(z)
+
+    def _worst_conflict(self, z: FloatArray) -> int | None:
+        """Branch where the overlap is largest and a second way out is far."""
+        if not self.problem.disjunctions:
+            return None
+        ordered = np.sort(self._slack(z), axis=1)[:, ::-1]
+        overlap = -ordered[:, 0]
+        if overlap.max() <= CONFLICT_M:
+            return None
+        second = np.where(np.isfinite(ordered[:, 1]), -ordered[:, 1], _NO_WAY_OUT_M)
+        return int(np.argmax(np.where(overlap > CONFLICT_M, overlap + second / 2.0, -np.inf)))

@@ -128,6 +128,11 @@ class CorridorProblem:
         return len(self.lower)
 
     @property
+    def binaries(self) -> int:
+        """Number of options to choose from."""
+        return sum(len(disjunction.options) for disjunction in self.disjunctions)
+
+    @property
     def pivot_indices(self) -> IntArray:
         """Indices of all pivotal variables."""
         return np.concatenate([block.pivot[1:].ravel() for block in self.blocks])

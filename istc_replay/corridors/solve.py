@@ -92,10 +92,11 @@ def solve_corridors(
         proven = _incumbent(search, config)
         if proven is not None:
             return replace(proven, records=tuple(search.records))
-    if not problem.disjunctions or (config.mode == "fast" and search.z is not None):
-        _relax(search)
-    else:
+    wanted = config.mode == "certified" or search.z is None
+    if problem.disjunctions and wanted and problem.binaries <= config.proof_binaries_max:
         _prove(search, config, PAPER_BIG_M if paper else None)
+    else:
+        _relax(search)
     return _outcome(search, config)
 
 
@@ -130,12 +131,13 @@ def _incumbent(search: _Search, config: CorridorsConfig) -> Corridors | None:
     tree = conflict_tree.search(problem, config.tree_node_budget)
     search.offer(tree.z, "conflict tree")
     status = SolveStatus.FEASIBLE if tree.z is not None else SolveStatus.LIMIT
-    if tree.exhausted:
+    infeasible = tree.exhausted and tree.z is None
+    if infeasible:
         status = SolveStatus.INFEASIBLE
     search.record(
         "conflict tree", "daqp", status, began, nodes=tree.nodes, objective=_finite(search.objective)
     )
-    if tree.exhausted:
+    if infeasible:
         where = "" if tree.last_conflict is None else _conflict_text(problem.disjunctions[tree.last_conflict])
         reason = where or "the limits of eq. (9) to (12) contradict each other or the map's bounds"
         return Corridors(SolveStatus.INFEASIBLE, reason=reason)
@@ -245,6 +247,8 @@ def _relax(search: _Search) -> None:
     """Bound eq. (4) by the QP without disjunctions: fast mode's bound, and exact where there are none."""
     began = time.perf_counter()
     z = polish(search.problem, None)
+    if z is not None and not search.problem.disjunctions:
+        search.offer(z, "joint polish")
     if z is not None:
         objective = search.problem.objective(z)
         search.bound = objective - _QP_ROUNDING * max(1.0, abs(objective))
