@@ -11,20 +11,14 @@ import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, Field, ValidationError
 
+from istc_replay.audit_config import AuditConfig
 from istc_replay.errors import ConfigError
-
-Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-NonNegative = Annotated[float, Field(ge=0, allow_inf_nan=False)]
-Count = Annotated[int, Field(ge=1)]
+from istc_replay.sections import Count, NonNegative, Positive, Section
 
 
-class _Section(BaseModel):
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, use_attribute_docstrings=True)
-
-
-class TopicConfig(_Section):
+class TopicConfig(Section):
     """How to read one topic, where the schema alone does not tell."""
 
     format: Literal["istc", "osi", "odometry", "ignore"] | None = None
@@ -37,7 +31,7 @@ class TopicConfig(_Section):
     """Distance from base_link forward to the box centre; needed for base_link."""
 
 
-class IngestConfig(_Section):
+class IngestConfig(Section):
     """Reading logs."""
 
     time_source: Literal["header", "log", "publish"] = "header"
@@ -46,11 +40,11 @@ class IngestConfig(_Section):
     """What nav_msgs/Odometry poses name (Autoware: the rear axle)."""
     base_link_to_centre_m: float = 0.0
     """Distance from base_link forward to the box centre, for reference point base_link."""
-    topics: dict[str, TopicConfig] = {}
+    topics: dict[str, TopicConfig] = Field(default={})
     """Per topic, what differs from the above."""
 
 
-class WindowConfig(_Section):
+class WindowConfig(Section):
     """Cutting the log into windows."""
 
     unit_s: Positive = 1.0
@@ -65,7 +59,7 @@ class WindowConfig(_Section):
     """A vehicle present for fewer whole units is not planned."""
 
 
-class VehicleConfig(_Section):
+class VehicleConfig(Section):
     """One vehicle."""
 
     length_m: Positive | None = None
@@ -80,7 +74,7 @@ class VehicleConfig(_Section):
     """Priority weight eta of eq. (4)."""
 
 
-class VehiclesConfig(_Section):
+class VehiclesConfig(Section):
     """Vehicles: defaults for what the log does not tell, and per-vehicle values."""
 
     length_m: Positive = 4.0
@@ -91,11 +85,11 @@ class VehiclesConfig(_Section):
     """Default wheelbase as a share of the length (2.7 m of 4 m)."""
     priority: Positive = 1.0
     """Default priority weight eta."""
-    by_id: dict[str, VehicleConfig] = {}
+    by_id: dict[str, VehicleConfig] = Field(default={})
     """Values for single vehicles: a priority overrides the log's, dimensions fill what it lacks."""
 
 
-class GuidanceConfig(_Section):
+class GuidanceConfig(Section):
     """Guidance trajectories."""
 
     source: Literal["auto", "lane", "recorded"] = "auto"
@@ -106,7 +100,7 @@ class GuidanceConfig(_Section):
     """Braking to the end of a recorded path whose vehicle stands still there."""
 
 
-class CorridorsConfig(_Section):
+class CorridorsConfig(Section):
     """Layer 1, eq. (1) to (12)."""
 
     formulation: Literal["pivot_overlap", "paper"] = "pivot_overlap"
@@ -155,7 +149,7 @@ class CorridorsConfig(_Section):
     """Wall-clock stop of one solver call; reported when it strikes."""
 
 
-class TrajectoriesConfig(_Section):
+class TrajectoriesConfig(Section):
     """Layer 2, eq. (13) to (19)."""
 
     integrator: Literal["rk4", "euler"] = "rk4"
@@ -192,7 +186,7 @@ class TrajectoriesConfig(_Section):
     """How often layer 1 is tightened and solved again for a vehicle that cannot be driven."""
 
 
-class CertificateConfig(_Section):
+class CertificateConfig(Section):
     """Certificates of a plan."""
 
     step_s: Positive = 0.01
@@ -207,14 +201,14 @@ class CertificateConfig(_Section):
     """Least distance between two planned boxes; their cubes' gap is checked as well."""
 
 
-class ViewConfig(_Section):
+class ViewConfig(Section):
     """The Rerun view."""
 
     metres_per_second: Positive = 2.0
     """Height of a second in the (x, y, t) view."""
 
 
-class Config(_Section):
+class Config(Section):
     """The whole configuration."""
 
     ingest: IngestConfig = IngestConfig()
@@ -231,6 +225,8 @@ class Config(_Section):
     """Layer 2."""
     certificate: CertificateConfig = CertificateConfig()
     """Certificates."""
+    audit: AuditConfig = AuditConfig()
+    """The safety audit of recorded traffic."""
     view: ViewConfig = ViewConfig()
     """The Rerun view."""
 

@@ -130,6 +130,125 @@ CERTIFICATES_SCHEMA = pl.Schema(
 )
 
 
+#: One row a finding of the audit, behaviour and data quality alike.
+FINDINGS_SCHEMA = pl.Schema(
+    {
+        "finding_id": pl.String(),  # the same for the same log, whatever the thresholds
+        "rule": pl.String(),
+        "verdict": pl.String(),  # fail, or inconclusive where the data cannot be trusted
+        "severity": pl.String(),  # minor, serious, critical; null for data quality
+        "vehicles": pl.List(pl.String()),
+        "start_ns": pl.Int64(),
+        "worst_ns": pl.Int64(),
+        "end_ns": pl.Int64(),
+        "x_m": pl.Float64(),  # map frame, at the worst time
+        "y_m": pl.Float64(),
+        "value": pl.Float64(),
+        "unit": pl.String(),
+        "threshold": pl.Float64(),  # of the severity reached
+        "threshold_source": pl.String(),
+        "topic": pl.String(),
+        "message_index": pl.Int64(),  # of the first vehicle's state at or before the worst time
+        "encounter_id": pl.String(),  # null for single vehicles
+        "detail": pl.String(),
+    }
+)
+
+#: One row a span of time in which a pair has findings.
+ENCOUNTERS_SCHEMA = pl.Schema(
+    {
+        "encounter_id": pl.String(),
+        "first": pl.String(),
+        "second": pl.String(),
+        "verdict": pl.String(),
+        "severity": pl.String(),
+        "conflict_type": pl.String(),  # at the worst time
+        "start_ns": pl.Int64(),
+        "worst_ns": pl.Int64(),
+        "end_ns": pl.Int64(),
+        "x_m": pl.Float64(),
+        "y_m": pl.Float64(),
+        "least_gap_m": pl.Float64(),
+        "least_gap_ns": pl.Int64(),
+        "least_ttc_s": pl.Float64(),
+        "most_drac_mps2": pl.Float64(),
+        "most_required_mps2": pl.Float64(),  # of the vehicle that needed less
+        "least_thw_s": pl.Float64(),
+        "least_pet_s": pl.Float64(),  # positive: first was there first
+        "event_pet_s": pl.Float64(),  # where the vehicle there first left the other's path
+        "pet_resolution_s": pl.Float64(),
+        "least_rss_margin_m": pl.Float64(),
+        "tet_s": pl.Float64(),
+        "tit_s2": pl.Float64(),
+        "delta_v_first_mps": pl.Float64(),
+        "delta_v_second_mps": pl.Float64(),
+        "consequence": pl.String(),  # serious or critical by the changes of speed, else null
+        "rules": pl.List(pl.String()),
+    }
+)
+
+#: One row a pair of vehicles near each other at a common time.
+PAIR_SAMPLES_SCHEMA = pl.Schema(
+    {
+        "first": pl.String(),
+        "second": pl.String(),
+        "time_ns": pl.Int64(),
+        "gap_m": pl.Float64(),  # negative: overlap
+        "gap_bound_m": pl.Float64(),  # how far off the gap may be between samples
+        "relative_speed_mps": pl.Float64(),
+        "ttc_s": pl.Float64(),
+        "silhouette_m": pl.Float64(),  # overlap seen along the relative velocity
+        "drac_mps2": pl.Float64(),
+        "required_first_mps2": pl.Float64(),
+        "required_second_mps2": pl.Float64(),
+        "follower": pl.String(),
+        "thw_s": pl.Float64(),
+        "rss_margin_m": pl.Float64(),
+        "angle_rad": pl.Float64(),
+        "conflict_type": pl.String(),
+        "delta_v_first_mps": pl.Float64(),
+        "delta_v_second_mps": pl.Float64(),
+    }
+)
+
+#: One row a recorded state, with what follows from it; NaN is not judged.
+VEHICLE_SAMPLES_SCHEMA = pl.Schema(
+    {
+        "vehicle_id": pl.String(),
+        "time_ns": pl.Int64(),
+        "x_m": pl.Float64(),
+        "y_m": pl.Float64(),
+        "speed_mps": pl.Float64(),
+        "acceleration_mps2": pl.Float64(),
+        "lateral_mps2": pl.Float64(),
+        "jerk_mps3": pl.Float64(),
+        "yaw_rate_radps": pl.Float64(),
+        "steering_rad": pl.Float64(),  # that a bicycle needs for the curvature
+        "steering_rate_radps": pl.Float64(),
+        "side_slip_rad": pl.Float64(),
+        "topic": pl.String(),
+        "message_index": pl.Int64(),
+        "affected": pl.Boolean(),  # within a span of doubtful data
+    }
+)
+
+#: One row a vehicle and measure: how much of its recorded time was judged.
+COVERAGE_SCHEMA = pl.Schema(
+    {
+        "vehicle_id": pl.String(),
+        "rule": pl.String(),
+        "verdict": pl.String(),  # pass, fail, inconclusive or not_applicable
+        "recorded_s": pl.Float64(),
+        "judged_s": pl.Float64(),
+        "affected_s": pl.Float64(),
+        "late_start_s": pl.Float64(),  # after the log's first state
+        "early_end_s": pl.Float64(),  # before the log's last state
+        "dimensions_source": pl.String(),  # log, config or default
+        "detail": pl.String(),
+    }
+)
+
+
 def conform(table: pl.DataFrame, schema: pl.Schema) -> pl.DataFrame:
     """Give the table exactly the schema's columns and types; columns it lacks become null.
 

@@ -1,0 +1,75 @@
+"""Derivatives of recorded values by Savitzky-Golay filters, never across gaps."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from istc_replay.datatypes import FloatArray
+
+
+def smoothed(
+    times_s: FloatArray, values: FloatArray, pieces: NDArray[np.int64], window: int
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Values, first and second derivatives of the quadratics that fit best.
+
+    Each piece is taken to even spacing, its own median step, and each sample to the parabola of
+    least squares through the `window` samples around it.
+
+    Parameters
+    ----------
+    times_s : ndarray
+        (n,) strictly increasing within a piece.
+    values : ndarray
+        (n,) values; NaN ends a piece.
+    pieces : ndarray
+        (n,) piece of each sample, not decreasing: no fit crosses from one to the next.
+    window : int
+        Odd number of samples of a fit, 3 at least.
+
+    Returns
+    -------
+    value, rate, curvature : ndarray
+        (n,) each; NaN for samples nearer to an end of their piece than half a window.
+    """
+    kernels = _kernels(window)
+    out = np.full((3, values.size), np.nan)
+    finite = np.isfinite(values)
+    cut = np.flatnonzero((np.diff(pieces) != 0) | (np.diff(finite.astype(np.int8)) != 0)) + 1
+    edges = np.concatenate([[0], cut, [values.size]])
+    for start, end in pairwise(edges):
+        if end - start >= window and finite[start]:
+            out[:, start:end] = _piece(times_s[start:end], values[start:end], kernels)
+    return out[0], out[1], out[2]
+
+
+def pieces_of(times_ns: NDArray[np.int64], longest_ns: float) -> NDArray[np.int64]:
+    """(n,) number of the piece of each sample: a longer pause begins the next."""
+    breaks = np.diff(times_ns, prepend=times_ns[:1]) > longest_ns
+    return np.cumsum(breaks).astype(np.int64)
+
+
+def _kernels(window: int) -> FloatArray:
+    """(3, window) weights of value, rate and curvature at the middle, for unit spacing."""
+    offset = np.arange(window) - window // 2
+    fit = np.linalg.pinv(np.stack([np.ones(window), offset, offset**2], axis=1).astype(np.float64))
+    return np.asarray(fit * np.array([[1.0], [1.0], [2.0]]))
+
+
+def _piece(times: FloatArray, values: FloatArray, kernels: FloatArray) -> FloatArray:
+    step = float(np.median(np.diff(times)))
+    count = round((times[-1] - times[0]) / step) + 1
+    window = kernels.shape[1]
+    even = times[0] + step * np.arange(max(count, window))
+    # About the first value: what is far from zero would lose digits.
+    views = sliding_window_view(np.interp(even, times, values - values[0]), window)
+    fitted = (views @ kernels.T).T / np.array([[1.0], [step], [step**2]])
+    fitted[0] += values[0]
+    half = window // 2
+    middle = even[half : even.size - half]
+    slack = step * 1e-3
+    inside = (times >= middle[0] - slack) & (times <= middle[-1] + slack)
+    return np.where(inside, np.stack([np.interp(times, middle, row) for row in fitted]), np.nan)
