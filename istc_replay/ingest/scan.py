@@ -1,0 +1,154 @@
+"""Finding fields in many protobuf messages at once, level by level."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from istc_replay.ingest.batches import Bytes, Ints
+
+#: Fewer messages than this are scanned one by one: steps over few cost as much as over many.
+_FEW = 8
+_VARINT_LIMIT = 10
+
+
+class Spans(NamedTuple):
+    """Spans of a buffer, all (n,): whose row they belong to, the tag before them, start and end."""
+
+    rows: Ints
+    tags: Ints
+    starts: Ints
+    ends: Ints
+
+
+def scan(data: Bytes, spans: Spans, wanted: set[int]) -> tuple[dict[int, Spans], Ints]:
+    """Find the wanted fields of the messages in spans.
+
+    Parameters
+    ----------
+    data : array
+        The buffer; it must go on for 16 bytes after the last span.
+    spans : Spans
+        One message each, in the order of the buffer.
+    wanted : set of int
+        Field numbers.
+
+    Returns
+    -------
+    dict[int, Spans]
+        By number, the fields in the order of the buffer: the value without its length, and the
+        rows of the messages that hold it.
+    array
+        Rows of the messages that are damaged; what stands before the damage is given.
+    """
+    found: dict[int, list[tuple[Ints, Ints, Ints, Ints]]] = {number: [] for number in wanted}
+    broken: list[Ints] = []
+    position = spans.starts.copy()
+    active = np.flatnonzero(position < spans.ends)
+    while len(active) > _FEW:
+        tags, ends = position[active], spans.ends[active]
+        tag, size = varints(data, tags)
+        number, wire = tag >> np.uint64(3), (tag & np.uint64(7)).astype(np.int64)
+        starts = tags + size
+        length, length_size = varints(data, np.minimum(starts, len(data) - 16))
+        # Lengths beyond the span are damage whatever they are; so they need not be exact.
+        length = np.minimum(length, np.uint64(len(data))).astype(np.int64)
+        starts = np.where(wire == 2, starts + length_size, starts)
+        after = starts + np.select(
+            [wire == 0, wire == 1, wire == 2, wire == 5], [length_size, 8, length, 4], 0
+        )
+        sound = (after <= ends) & (number > 0) & ((wire < 3) | (wire == 5)) & (size <= _VARINT_LIMIT)
+        sound &= (wire != 0) | (length_size <= _VARINT_LIMIT)
+        if not sound.all():
+            broken.append(spans.rows[active[~sound]])
+        for one, places in found.items():
+            hit = np.flatnonzero((number == one) & sound)
+            if len(hit):
+                places.append((spans.rows[active[hit]], tags[hit], starts[hit], after[hit]))
+        position[active] = after
+        active = active[sound & (after < ends)]
+    for index in active.tolist():
+        start, end = int(position[index]), int(spans.ends[index])
+        rest, whole = _one(data[start : end + 16].tobytes(), end - start, wanted)
+        row = np.array([spans.rows[index]])
+        for one, places_ in rest.items():
+            if places_:
+                columns = np.array(places_, np.int64) + start
+                found[one].append((np.repeat(row, len(columns)), columns[:, 0], columns[:, 1], columns[:, 2]))
+        if not whole:
+            broken.append(row)
+    return {one: _in_order(places) for one, places in found.items()}, _concatenated(broken)
+
+
+def varints(data: Bytes, positions: Ints) -> tuple[NDArray[np.uint64], Ints]:
+    """Read the varints at the positions; a size of 11 means that it is none."""
+    first = data[positions]
+    value = first.astype(np.uint64)
+    size = np.ones(len(positions), np.int64)
+    more = np.flatnonzero(first >= 0x80)
+    if len(more):
+        value[more] &= np.uint64(0x7F)
+    for index in range(1, _VARINT_LIMIT + 1):
+        if not len(more):
+            break
+        size[more] = index + 1
+        if index == _VARINT_LIMIT:
+            break
+        byte = data[np.minimum(positions[more] + index, len(data) - 1)]
+        value[more] |= (byte & np.uint8(0x7F)).astype(np.uint64) << np.uint64(7 * index)
+        more = more[byte >= 0x80]
+    return value, size
+
+
+def varint(data: bytes, position: int, end: int) -> tuple[int, int]:
+    """Read one varint; returns it and where it ends, or -1 where it is none."""
+    value = shift = 0
+    while position < end and shift < 70:
+        byte = data[position]
+        value |= (byte & 0x7F) << shift
+        position, shift = position + 1, shift + 7
+        if byte < 0x80:
+            return value & (2**64 - 1), position
+    return 0, -1
+
+
+def next_field(data: bytes, position: int, end: int) -> tuple[int, int, int, int]:
+    """Read one field: number, wire type, start of its value, and its end, or -1 where it is damaged."""
+    tag, start = varint(data, position, end)
+    number, wire = tag >> 3, tag & 7
+    after = -1
+    if start < 0 or not number:
+        return number, wire, start, -1
+    if wire == 0:
+        after = varint(data, start, end)[1]
+    elif wire == 2:
+        length, start = varint(data, start, end)
+        after = start + length if start >= 0 else -1
+    elif wire in (1, 5):
+        after = start + (8 if wire == 1 else 4)
+    return number, wire, start, after if after <= end else -1
+
+
+def _one(data: bytes, end: int, wanted: set[int]) -> tuple[dict[int, list[tuple[int, int, int]]], bool]:
+    found: dict[int, list[tuple[int, int, int]]] = {number: [] for number in wanted}
+    position = 0
+    while position < end:
+        number, _, start, after = next_field(data, position, end)
+        if after < 0:
+            return found, False
+        if number in found:
+            found[number].append((position, start, after))
+        position = after
+    return found, True
+
+
+def _in_order(places: list[tuple[Ints, Ints, Ints, Ints]]) -> Spans:
+    rows, tags, starts, ends = (_concatenated([place[k] for place in places]) for k in range(4))
+    turn = np.argsort(tags, kind="stable")
+    return Spans(rows[turn], tags[turn], starts[turn], ends[turn])
+
+
+def _concatenated(parts: list[Ints]) -> Ints:
+    return np.concatenate(parts) if parts else np.zeros(0, np.int64)
