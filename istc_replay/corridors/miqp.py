@@ -161,7 +161,7 @@ def chosen_options(problem: CorridorProblem, z: FloatArray) -> list[int]:
     """Return the option of each disjunction that z meets best."""
     if not problem.disjunctions:
         return []
-    return [int(best) for best in OptionTable.of(problem).slack(z).argmax(axis=1)]
+    return [int(best) for best in OptionTable.of(problem.disjunctions).slack(z).argmax(axis=1)]
 
 
 def option_rows(problem: CorridorProblem, choice: Sequence[int]) -> list[Row]:

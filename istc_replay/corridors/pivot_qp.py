@@ -11,6 +11,8 @@ import numpy as np
 from istc_replay.corridors.problem import CONSTANT
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from istc_replay.corridors.problem import CorridorProblem, Option
     from istc_replay.datatypes import FloatArray
 
@@ -23,7 +25,7 @@ Choices = tuple[tuple[int, int], ...]
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PivotSolution:
-    """Cost of eq. (3), z with least cubes, and the multipliers that warm-start what comes next."""
+    """Cost of eq. (3), z (of the QP's vehicles; else 0), and multipliers that warm-start the next."""
 
     cost: float
     z: FloatArray
@@ -31,15 +33,16 @@ class PivotSolution:
 
 
 class PivotQp:
-    """Minimise eq. (3) over the pivotal points such that the chosen options hold.
+    """Minimise eq. (3) over the pivotal points of some vehicles such that the chosen options hold.
 
     The least cube of a unit is the hull of the car-boxes at its two pivotal points, so an option
     is at most four linear rows: every point of one side from every point of the other.
     """
 
-    def __init__(self, problem: CorridorProblem) -> None:
+    def __init__(self, problem: CorridorProblem, vehicles: Sequence[str]) -> None:
         self._problem = problem
-        self._pivots = problem.pivot_indices
+        group = [block for block in problem.blocks if block.vehicle_id in vehicles]
+        self._pivots = np.concatenate([block.pivot[1:].ravel() for block in group])
         size = len(self._pivots)
         self._column = np.full(problem.size + 1, CONSTANT, dtype=np.int64)
         self._column[self._pivots] = np.arange(size)
@@ -85,7 +88,7 @@ class PivotQp:
         z = np.zeros(self._problem.size)
         z[self._pivots] = self._reference + scaled / self._root
         cost = float(scaled @ scaled) / 2.0
-        return PivotSolution(cost, self._problem.least_cubes(z), np.asarray(info["lam"]))
+        return PivotSolution(cost, z, np.asarray(info["lam"]))
 
     def _option_rows(self, choice: tuple[int, int]) -> tuple[FloatArray, FloatArray]:
         if choice not in self._cache:

@@ -7,6 +7,7 @@ start. Linear rows always hold; of each disjunction one option holds.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -151,10 +152,10 @@ class CorridorProblem:
         extended = np.append(z, 0.0)
         points = extended[self.witness] + self.witness_offset_m
         walls = np.array(z)
-        for block in self.blocks:
-            for low, high in ((X_MIN, X_MAX), (Y_MIN, Y_MAX)):
-                walls[block.cube[:, low]] = points[block.cube[:, low]].min(axis=1)
-                walls[block.cube[:, high]] = points[block.cube[:, high]].max(axis=1)
+        cubes = np.concatenate([block.cube for block in self.blocks])
+        low, high = cubes[:, [X_MIN, Y_MIN]], cubes[:, [X_MAX, Y_MAX]]
+        walls[low] = points[low].min(axis=-1)
+        walls[high] = points[high].max(axis=-1)
         return walls
 
     def corridors(self, z: FloatArray) -> tuple[Corridor, ...]:
@@ -180,13 +181,13 @@ class OptionTable:
     gap: FloatArray
 
     @classmethod
-    def of(cls, problem: CorridorProblem) -> OptionTable:
-        """Tabulate a problem's disjunctions."""
-        shape = (len(problem.disjunctions), 4)
+    def of(cls, disjunctions: Sequence[Disjunction]) -> OptionTable:
+        """Tabulate disjunctions."""
+        shape = (len(disjunctions), 4)
         larger = np.full(shape, CONSTANT, dtype=np.int64)
         smaller = np.full(shape, CONSTANT, dtype=np.int64)
         gap = np.full(shape, np.inf)
-        for d, disjunction in enumerate(problem.disjunctions):
+        for d, disjunction in enumerate(disjunctions):
             for o, option in enumerate(disjunction.options):
                 larger[d, o], smaller[d, o], gap[d, o] = option.larger, option.smaller, option.gap
         return cls(larger, smaller, gap)

@@ -138,7 +138,7 @@ def _incumbent(search: _Search, config: CorridorsConfig) -> Corridors | None:
         "conflict tree", "daqp", status, began, nodes=tree.nodes, objective=_finite(search.objective)
     )
     if infeasible:
-        where = "" if tree.last_conflict is None else _conflict_text(problem.disjunctions[tree.last_conflict])
+        where = "" if tree.open_conflict is None else _conflict_text(tree.open_conflict)
         reason = where or "the limits of eq. (9) to (12) contradict each other or the map's bounds"
         return Corridors(SolveStatus.INFEASIBLE, reason=reason)
     if tree.z is None:
