@@ -10,7 +10,7 @@ import json
 import sys
 import traceback
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any, Literal, TypeVar
 
 import click
 
@@ -18,14 +18,16 @@ from istc_replay import __version__
 from istc_replay.errors import IstcReplayError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from istc_replay.datatypes import Log
 
 _INTERNAL_ERROR = 4
 _INTERRUPTED = 130
 _TABLE_FORMATS: tuple[Literal["parquet", "csv"], ...] = ("parquet", "csv")
+_FIGURE_FORMATS: tuple[Literal["png", "svg", "pdf"], ...] = ("png", "svg", "pdf")
 _FILE = click.Path(path_type=Path)
+_Format = TypeVar("_Format", bound=str)
 
 
 def main(arguments: list[str] | None = None) -> None:
@@ -68,6 +70,15 @@ def _line(text: object) -> str:
     """One printable line: control characters and line breaks shown, not obeyed."""
     shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in str(text))
     return shown if len(shown) <= 2000 else shown[:2000] + " ..."
+
+
+def _chosen(formats: str, known: Sequence[_Format]) -> list[_Format]:
+    """Read a list with commas."""
+    parts = [part.strip() for part in formats.split(",")]
+    unknown = [part for part in parts if part not in known]
+    if unknown:
+        raise click.UsageError(f"--format {formats}: {unknown[0]!r} is not one of {', '.join(known)}")
+    return [name for name in known if name in parts]
 
 
 @click.group(context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 100})
@@ -289,11 +300,7 @@ def export(source: Path, output: Path, formats: str, config_path: Path | None) -
     from istc_replay.config import load_config
     from istc_replay.pipeline import export_tables
 
-    parts = [part.strip() for part in formats.split(",")]
-    chosen = [known for known in _TABLE_FORMATS if known in parts]
-    unknown = [part for part in parts if part not in _TABLE_FORMATS]
-    if unknown:
-        raise click.UsageError(f"--format {formats}: {unknown[0]!r} is not one of parquet, csv")
+    chosen = _chosen(formats, _TABLE_FORMATS)
     complete, files = export_tables(source, output, chosen, load_config(config_path))
     for file in files:
         click.echo(_line(file))
@@ -333,6 +340,90 @@ def config(file: Path | None, defaults: bool, schema: bool) -> None:
         click.echo(json.dumps(Config.model_json_schema(), indent=1))
         return
     click.echo(render_config(load_config(None if defaults else file), explain=True), nl=False)
+
+
+@cli.command()
+@click.argument("result", type=_FILE)
+@click.option("-o", "--output", type=_FILE, required=True, help="Folder of the pictures.")
+@click.option("--format", "formats", default="png", show_default=True, help="png, svg, pdf, with commas.")
+def figures(result: Path, output: Path, formats: str) -> None:
+    """Draw RESULT (its folder or result.mcap) as the paper draws its results, window by window.
+
+    \b
+    Example:  istc-replay figures results/intersection_turn_first -o pictures --format svg,pdf
+    """
+    from istc_replay.pipeline import write_figures
+
+    for file in write_figures(result, output, _chosen(formats, _FIGURE_FORMATS)):
+        click.echo(_line(file))
+
+
+@cli.command()
+@click.option("--table", type=click.Choice(["iii", "iv"]), help="One of the paper's tables; both otherwise.")
+@click.option("--scene", "scenes", multiple=True, help="A sample's name, in place of a table; repeatable.")
+@click.option("--runs", default=5, show_default=True, type=click.IntRange(1, 100), help="Runs of each scene.")
+@click.option("--fast", is_flag=True, help="Leave the proof of the bound out.")
+@click.option("--perturb", default=0, type=click.IntRange(0, 1000), help="Replay N perturbed copies instead.")
+@click.option("--json", "as_json", is_flag=True, help="Print JSON.")
+@click.option("-c", "--config", "config_path", type=_FILE, help="Configuration (TOML).")
+def bench(
+    table: str | None,
+    scenes: tuple[str, ...],
+    runs: int,
+    fast: bool,
+    perturb: int,
+    as_json: bool,
+    config_path: Path | None,
+) -> int:
+    """Measure the paper's tables here, beside the paper's figures and CL-CBS's.
+
+    \b
+    Example:  istc-replay bench --table iii
+    """
+    from dataclasses import asdict
+
+    from istc_replay import bench as measuring
+    from istc_replay.config import load_config
+
+    config = load_config(config_path)
+    if fast:
+        config = config.model_copy(update={"corridors": config.corridors.model_copy(update={"mode": "fast"})})
+    names = scenes or tuple(
+        name for key, names in measuring.TABLES.items() if table in (None, key) for name in names
+    )
+    others = measuring.peers()
+    with _Progress("bench") as progress:
+
+        def told(what: str) -> None:
+            progress(what, 0, 1)
+
+        if perturb:
+            found = [
+                measuring.robustness(name, perturb, config, told)
+                for name in names
+                if name.startswith("dense")
+            ]
+            _print_robustness(found, as_json)
+            return 0 if all(f["certified_and_arrived"] == f["perturbed"] for f in found) else 4
+        rows = measuring.bench(names, config, runs, told)
+    if as_json:
+        click.echo(json.dumps({"rows": [asdict(row) for row in rows], "others": others}, indent=1))
+    else:
+        _print_table(measuring.table(rows, others))
+        for source in others["sources"].values():
+            click.echo(f"  {_line(source)}")
+    return 0 if all(row.certified and row.arrived for row in rows) else 4
+
+
+def _print_robustness(found: list[dict[str, Any]], as_json: bool) -> None:
+    if as_json:
+        click.echo(json.dumps({"perturbed": found}, indent=1))
+        return
+    for scene in found:
+        good, count = scene["certified_and_arrived"], scene["perturbed"]
+        click.echo(f"{scene['name']}: {good} of {count} perturbed copies certified and arrived")
+        for miss in scene["misses"]:
+            click.echo(f"  seed {miss['seed']}: {_line(miss['reason'])}")
 
 
 @cli.command()

@@ -105,13 +105,25 @@ def replay_log(
     progress("reading", 0, 1)
     with timing.stage("ingest"):
         log = read_log(path, settings)
-    plans = _plans(log, settings, timing, progress)
+    done = replay_read(log, settings, progress=progress, stages=timing)
+    done.summary["totals"]["cpu_s"] = _cpu_s() - cpu_began
+    return done
+
+
+def replay_read(
+    log: Log,
+    config: Config,
+    *,
+    progress: Callable[[str, int, int], None] = _silent,
+    stages: Stages | None = None,
+) -> Replay:
+    """Replay a log that has been read; arguments and errors as of `replay_log`."""
+    timing = stages or Stages()
+    plans = _plans(log, config, timing, progress)
     progress("certifying", len(plans), len(plans))
-    certified = _certify(log, plans, settings, timing)
-    summary = certified.summary
-    summary["totals"]["cpu_s"] = _cpu_s() - cpu_began
-    summary["stages"] = timing.seconds
-    return certified
+    done = _certify(log, plans, config, timing)
+    done.summary["stages"] = timing.seconds
+    return done
 
 
 def _plans(
@@ -290,6 +302,25 @@ def write_sample(scene: str, out: Path) -> None:
         data = sample_bytes(sample.record(), sample.format)
     with atomic_file(out) as file:
         file.write_bytes(data)
+
+
+def write_figures(source: Path, folder: Path, formats: Sequence[Literal["png", "svg", "pdf"]]) -> list[Path]:
+    """Draw every window of a result (its folder or result.mcap); returns the files."""
+    from istc_replay.export.atomic import atomic_file, prepare_folder
+    from istc_replay.export.figures import draw_figures, figure_bytes
+    from istc_replay.ingest.result import load_result_folder
+
+    result = load_result_folder(source)
+    prepare_folder(folder)
+    files = []
+    for window in result.summary["windows"]:
+        for name, figure in draw_figures(result, window["index"]).items():
+            for kind in formats:
+                path = folder / f"window_{window['index']}_{name}.{kind}"
+                with atomic_file(path) as file:
+                    file.write_bytes(figure_bytes(figure, kind))
+                files.append(path)
+    return files
 
 
 @cache

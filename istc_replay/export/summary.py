@@ -8,6 +8,7 @@ import numpy as np
 
 from istc_replay.audit.certificate import overall
 from istc_replay.datatypes import Verdict, WindowStatus
+from istc_replay.guidance.build import STANDING_MPS
 from istc_replay.ingest.result import SUMMARY_SCHEMA
 from istc_replay.units import NS_PER_S
 
@@ -16,6 +17,9 @@ if TYPE_CHECKING:
 
     from istc_replay.audit.recorded import RecordedGap
     from istc_replay.datatypes import Certificate, Log, Participant, Scenario, Trajectory, WindowPlan
+
+#: A vehicle that ends its recording standing has arrived where its plan ends this near.
+ARRIVED_M = 1.0
 
 
 def summarise(
@@ -169,7 +173,7 @@ def _vehicles(scenario: Scenario, plan: WindowPlan) -> list[dict[str, Any]]:
             row["pivot_deviation_m"] = float(deviation[1:].mean())
         trajectory = trajectories.get(participant.vehicle_id)
         if trajectory is not None:
-            row |= _motion(trajectory)
+            row |= _motion(participant, trajectory)
         rows.append(row)
     return rows
 
@@ -186,12 +190,22 @@ def _vehicle(participant: Participant) -> dict[str, Any]:
         "pivot_deviation_m": None,
         "speed_std_mps": None,
         "length_m": None,
+        "goal_distance_m": None,
+        "arrived": None,
     }
 
 
-def _motion(trajectory: Trajectory) -> dict[str, Any]:
+def _motion(participant: Participant, trajectory: Trajectory) -> dict[str, Any]:
     steps = np.diff(trajectory.states[:, :2], axis=0)
-    return {
+    found: dict[str, Any] = {
         "speed_std_mps": float(trajectory.states[:, 4].std()),
         "length_m": float(np.hypot(steps[:, 0], steps[:, 1]).sum()),
     }
+    recording = participant.recording
+    if recording.speeds_mps[-1] < STANDING_MPS:  # it has a goal: where it stands at the end
+        x, y, heading = trajectory.states[-1, :3]
+        ahead = trajectory.dimensions.rear_axle_to_centre_m
+        end = (x + ahead * np.cos(heading), y + ahead * np.sin(heading))
+        distance = float(np.hypot(*(recording.poses[-1, :2] - end)))
+        found |= {"goal_distance_m": distance, "arrived": distance <= ARRIVED_M}
+    return found

@@ -59,7 +59,7 @@ SAMPLES: dict[str, Sample] = {
     "dense_4": Sample(
         "four vehicles cross a map of 50 m x 38 m from its sides, with no lanes",
         "istc",
-        lambda: record(parse_scene(_packaged_scene("dense_4"), "dense_4")),
+        lambda: record(packaged_scene("dense_4")),
     ),
 }
 
@@ -102,8 +102,10 @@ def record(scene: SceneFile) -> RecordedScene:
     return record_drives(scene.name, _static_scene(scene), drives, START_NS, duration_s)
 
 
-def _packaged_scene(name: str) -> str:
-    return resources.files("istc_replay").joinpath(f"data/{name}.json").read_text(encoding="utf-8")
+def packaged_scene(name: str) -> SceneFile:
+    """Return a scene file that comes with the package."""
+    text = resources.files("istc_replay").joinpath(f"data/{name}.json").read_text(encoding="utf-8")
+    return parse_scene(text, name)
 
 
 def _drive(scene: SceneFile, vehicle: SceneVehicle) -> Drive:
