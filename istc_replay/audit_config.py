@@ -67,8 +67,8 @@ class AuditConfig(Section):
     """Time headway (fined in Germany)."""
     thw_critical_s: Positive = 0.4
     """Time headway (fined in Austria)."""
-    thw_speed_mps: NonNegative = 5.0
-    """A slower follower is in a queue: its headway is told, but is no finding (ours)."""
+    queue_mps: NonNegative = 5.0
+    """Slower vehicles are in a queue: headway and RSS are told, but are no finding (ours)."""
     rss_response_s: Positive = 1.0
     """RSS: response time rho (ad-rss: 1 s own, 2 s others)."""
     rss_acceleration_mps2: NonNegative = 3.5
@@ -170,7 +170,9 @@ class AuditConfig(Section):
     speed_implausible_mps: Positive = 90.0
     """A faster vehicle's speed is not in m/s."""
     length_implausible_m: Positive = 30.0
-    """A longer vehicle's size is not in m; nor is it if ten times shorter than a person is wide."""
+    """A longer vehicle's size is not in m."""
+    length_least_m: Positive = 1.0
+    """A shorter vehicle's size is not in m."""
     dimension_change_m: Positive = 0.1
     """A vehicle's length and width may change by this."""
 

@@ -57,7 +57,7 @@ def encroachments(
         block_high = np.fmax.reduceat(high, starts, axis=0)
     numbers = numbers[starts]
     ends = np.append(starts[1:], times_s.size)
-    found: list[FloatArray] = []
+    found: list[IntArray] = []
     for lag in range(int(np.ceil(longest_s / block_s)) + 1):
         # Blocks may be missing where nobody was there: the lag is one of numbers, not of rows.
         target = np.searchsorted(numbers, numbers + lag)
@@ -71,7 +71,7 @@ def encroachments(
             found += _footprints(boxes, times_s, spans, (first, second), longest_s, least_angle_rad)
     if not found:
         return empty, empty, empty, empty
-    return _nearest(np.concatenate(found, axis=1).astype(np.int64))
+    return _nearest(np.concatenate(found, axis=1))
 
 
 def _met(

@@ -9,6 +9,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from istc_replay.datatypes import FloatArray
 from istc_replay.units import wrap_angle
@@ -104,7 +105,7 @@ def _margin(
     other: FloatArray,
     speeds: tuple[FloatArray, FloatArray],
     rss: RssParameters,
-    opposite: FloatArray,
+    opposite: NDArray[np.bool_],
 ) -> FloatArray:
     """The margin along the axes of `own`."""
     turn = wrap_angle(other[:, 2] - own[:, 2])

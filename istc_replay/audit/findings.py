@@ -1,0 +1,281 @@
+"""From measures to findings: events past thresholds, each with its place, its time and its origin."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from istc_replay.audit.bodies import Body
+from istc_replay.audit.events import Event, find_events
+from istc_replay.audit.pair_samples import Encroachments, Pairs
+from istc_replay.audit.quality import Issue, is_doubtful
+from istc_replay.audit.rules import PAIR_RULES, PET_RULE, VEHICLE_RULES, Rule
+from istc_replay.audit.vehicle_samples import Motion
+from istc_replay.audit_config import AuditConfig
+from istc_replay.datatypes import FloatArray, Verdict
+from istc_replay.units import NS_PER_S
+
+IntArray = NDArray[np.int64]
+
+#: A bridge spans a sample at least, whatever the rate.
+_BRIDGED_PERIODS = 1.5
+
+
+@dataclass(frozen=True, slots=True)
+class Finding:
+    """One finding; `bodies` are rows of the bodies, `severity` is None for data quality."""
+
+    rule: str
+    verdict: Verdict
+    severity: str | None
+    bodies: tuple[int, ...]
+    start_ns: int
+    worst_ns: int
+    end_ns: int
+    x_m: float
+    y_m: float
+    value: float
+    unit: str
+    threshold: float
+    source: str
+    detail: str
+
+    def identity(self, bodies: list[Body]) -> str:
+        """A stable id: of the rule, who, and when it was worst."""
+        who = "\x1f".join(bodies[row].name for row in self.bodies)
+        return hashlib.sha256(f"{self.rule}\x1e{who}\x1e{self.worst_ns}".encode()).hexdigest()[:16]
+
+
+def pair_findings(
+    pairs: Pairs, bodies: list[Body], spans: list[IntArray], period_ns: float, audit: AuditConfig
+) -> list[Finding]:
+    """Findings of pairs of bodies, but for the post-encroachment times."""
+    found = []
+    bridge = np.full(pairs.time_ns.size, max(audit.bridge_s * NS_PER_S, _BRIDGED_PERIODS * period_ns))
+    for rule in PAIR_RULES:
+        values = judged_values(pairs, rule.name, audit)
+        thresholds = rule.thresholds(audit)
+        least = [1 if source == "contact" else audit.least_samples for _, _, source in thresholds]
+        events = find_events(
+            pairs.key,
+            pairs.time_ns,
+            rule.badness(values),
+            rule.badness(np.array([level for _, level, _ in thresholds])),
+            release=rule.release(audit),
+            bridge_ns=bridge,
+            least_samples=np.array(least),
+        )
+        for event in events:
+            who = (int(pairs.first[event.start]), int(pairs.second[event.start]))
+            times = tuple(int(pairs.time_ns[row]) for row in (event.start, event.worst, event.end))
+            place = (float(pairs["x_m"][event.worst]), float(pairs["y_m"][event.worst]))
+            detail = _pair_detail(rule, pairs, event, bodies)
+            found.append(
+                _finding(
+                    rule,
+                    audit,
+                    event.level,
+                    who,
+                    times,
+                    place,
+                    float(values[event.worst]),
+                    detail,
+                    bodies,
+                    spans,
+                )
+            )
+    return found
+
+
+def judged_values(pairs: Pairs, rule: str, audit: AuditConfig) -> FloatArray:
+    """(n,) values of a rule; NaN where it does not apply: parked, in a queue, or only grazing."""
+    moving = pairs["fastest_mps"] > audit.moving_mps
+    relative = pairs["relative_speed_mps"] > audit.relative_mps
+    if rule == "gap":
+        gap = pairs["gap_m"]
+        return np.where(moving & (relative | (gap <= 0.0)), gap, np.nan)
+    if rule == "thw":
+        return np.where(pairs["follower_mps"] >= audit.queue_mps, pairs["thw_s"], np.nan)
+    if rule == "rss":
+        return np.where(pairs["fastest_mps"] >= audit.queue_mps, pairs["rss_margin_m"], np.nan)
+    # What overlaps at once is a finding of the gap; what would graze may as well pass.
+    real = moving & relative & (pairs["gap_m"] > 0.0) & (pairs["silhouette_m"] > audit.grazing_m)
+    if rule == "required_deceleration":
+        return np.where(real, np.fmin(pairs["required_first_mps2"], pairs["required_second_mps2"]), np.nan)
+    return np.where(real, pairs[{"ttc": "ttc_s", "drac": "drac_mps2"}[rule]], np.nan)
+
+
+def _pair_detail(rule: Rule, pairs: Pairs, event: Event, bodies: list[Body]) -> str:
+    if rule.name == "gap":
+        gap, bound = pairs["gap_m"][event.worst], pairs["gap_bound_m"][event.worst]
+        if gap < -bound:
+            return f"collision: the boxes overlap by more than the sampling bound of {bound:.3g} m"
+        return "possible collision: within the sampling bound" if gap <= bound else ""
+    if rule.name == "drac":
+        return "of the relative motion"
+    if rule.name == "thw":
+        return f"{bodies[int(pairs['follower'][event.worst])].name} follows"
+    if rule.name == "required_deceleration":
+        first, second = pairs["required_first_mps2"][event.worst], pairs["required_second_mps2"][event.worst]
+        who = pairs.first if first <= second else pairs.second
+        return f"of {bodies[int(who[event.worst])].name} alone"
+    return ""
+
+
+def encroachment_findings(
+    left: Encroachments, bodies: list[Body], spans: list[IntArray], period_ns: float, audit: AuditConfig
+) -> list[Finding]:
+    """Findings of post-encroachment times; positive where the first named body was there first."""
+    seconds = (left.later_ns - left.earlier_ns) / NS_PER_S
+    levels = np.array([level for _, level, _ in PET_RULE.thresholds(audit)])
+    bridge = max(audit.bridge_s * NS_PER_S, _BRIDGED_PERIODS * period_ns)
+    events = find_events(
+        left.first * (1 << 32) + left.second,
+        left.earlier_ns,
+        -seconds,
+        -levels,
+        release=-levels[0],
+        bridge_ns=np.full(seconds.size, bridge),
+        least_samples=np.ones(levels.size, dtype=np.int64),
+    )
+    found = []
+    for event in events:
+        who = (int(left.first[event.start]), int(left.second[event.start]))
+        if seconds[event.worst] == 0.0 and who[0] > who[1]:
+            continue  # contact is found both ways round
+        times = (
+            int(left.earlier_ns[event.start]),
+            int(left.later_ns[event.worst]),
+            int(left.later_ns[event.start : event.end + 1].max()),
+        )
+        value = float(seconds[event.worst])
+        detail = (
+            f"{bodies[who[0]].name} first; {seconds[event.end]:.3g} s after it left the path, "
+            f"within {period_ns / NS_PER_S:.3g} s"
+        )
+        place = (float(left.x_m[event.worst]), float(left.y_m[event.worst]))
+        pair = (min(who), max(who))
+        signed = value if who == pair else -value
+        found.append(
+            _finding(PET_RULE, audit, event.level, pair, times, place, signed, detail, bodies, spans)
+        )
+    return found
+
+
+def vehicle_findings(
+    bodies: list[Body], motions: list[Motion], spans: list[IntArray], audit: AuditConfig
+) -> list[Finding]:
+    """Findings of single vehicles."""
+    found = []
+    for row, (body, motion) in enumerate(zip(bodies, motions, strict=True)):
+        if not body.is_vehicle:
+            continue
+        times = body.track.times_ns
+        bridge = max(audit.bridge_s * NS_PER_S, _BRIDGED_PERIODS * body.track.period_ns)
+        for rule in VEHICLE_RULES:
+            values, thresholds = vehicle_values(rule, body, motion, audit), rule.thresholds(audit)
+            if values is None or not thresholds:
+                continue
+            levels = np.array([level for _, level, _ in thresholds])
+            events = find_events(
+                np.zeros(times.size, dtype=np.int64),
+                times,
+                values,
+                levels,
+                release=rule.release(audit),
+                bridge_ns=np.full(times.size, bridge),
+                least_samples=np.full(levels.size, audit.least_samples),
+            )
+            for event in events:
+                when = tuple(int(times[k]) for k in (event.start, event.worst, event.end))
+                place = (float(body.track.states[event.worst, 0]), float(body.track.states[event.worst, 1]))
+                value = float(values[event.worst])
+                found.append(
+                    _finding(rule, audit, event.level, (row,), when, place, value, "", bodies, spans)
+                )
+    return found
+
+
+def vehicle_values(rule: Rule, body: Body, motion: Motion, audit: AuditConfig) -> FloatArray | None:
+    """(S,) values of a rule of single vehicles, larger is worse; None where it does not apply."""
+    speed = body.track.states[:, 3]
+    if rule.name == "speed_limit":
+        return None if audit.speed_limit_mps is None else np.abs(speed) - audit.speed_limit_mps
+    if rule.name == "braking":
+        # Slowing down is against the way it drives, forwards or backwards.
+        return np.asarray(-motion.acceleration_mps2 * np.where(speed < 0.0, -1.0, 1.0))
+    return np.asarray(np.abs(getattr(motion, rule.column)))
+
+
+def issue_findings(issues: list[Issue], bodies: list[Body]) -> list[Finding]:
+    """Data quality as findings: inconclusive, without severity."""
+    found = []
+    for issue in issues:
+        track = bodies[issue.bodies[0]].track
+        row = max(int(np.searchsorted(track.times_ns, issue.worst_ns, side="right")) - 1, 0)
+        place = track.states[row, :2]
+        found.append(
+            Finding(
+                issue.rule,
+                Verdict.INCONCLUSIVE,
+                None,
+                issue.bodies,
+                issue.start_ns,
+                issue.worst_ns,
+                issue.end_ns,
+                float(place[0]),
+                float(place[1]),
+                issue.value,
+                issue.unit,
+                issue.threshold,
+                issue.source,
+                issue.detail,
+            )
+        )
+    return found
+
+
+def _finding(
+    rule: Rule,
+    audit: AuditConfig,
+    level: int,
+    who: tuple[int, ...],
+    times: tuple[int, ...],
+    place: tuple[float, float],
+    value: float,
+    detail: str,
+    bodies: list[Body],
+    spans: list[IntArray],
+) -> Finding:
+    severity, threshold, source = rule.thresholds(audit)[level]
+    notes = [detail] if detail else []
+    start, worst, end = times
+    doubtful = [row for row in who if is_doubtful(spans[row], np.array([start]), np.array([end]))[0]]
+    if doubtful:
+        notes.append("data in doubt: " + ", ".join(bodies[row].name for row in doubtful))
+    if any(end >= bodies[row].track.times_ns[-1] for row in who):
+        notes.append("cut off by the end of a track: its worst may be unseen")
+    if any(start <= bodies[row].track.times_ns[0] for row in who):
+        notes.append("under way when a track begins")
+    assumed = [bodies[row].name for row in who if bodies[row].dimensions_source == "default"]
+    if assumed and len(who) > 1:
+        notes.append("size assumed: " + ", ".join(assumed))
+    verdict = Verdict.INCONCLUSIVE if doubtful else Verdict.FAIL
+    return Finding(
+        rule.name,
+        verdict,
+        severity,
+        who,
+        start,
+        worst,
+        end,
+        *place,
+        value,
+        rule.unit,
+        threshold,
+        source,
+        "; ".join(notes),
+    )

@@ -1,0 +1,333 @@
+"""Data quality of recorded states: what is wrong with the data comes before what is judged by it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+
+from istc_replay.audit.bodies import Body
+from istc_replay.audit.clocks import Clock
+from istc_replay.audit.pair_samples import Pairs
+from istc_replay.audit.recorded import Track
+from istc_replay.audit.vehicle_samples import Motion
+from istc_replay.audit_config import AuditConfig
+from istc_replay.units import NS_PER_S, wrap_angle
+
+IntArray = NDArray[np.int64]
+
+#: What cannot be trusted reaches this far to either side of an instant.
+_AROUND_NS = NS_PER_S // 2
+#: Recorded speed over travelled speed beyond these is no noise, but another unit.
+_SPEED_RATIOS = (0.5, 2.0)
+#: Two bodies exchanged their names where each jumps to within this of where the other was going [m].
+_EXCHANGED_M = 2.0
+#: Steps whose median is the usual pace.
+_PACES = 7
+
+
+@dataclass(frozen=True, slots=True)
+class Issue:
+    """Something wrong with the data of some bodies in a span of time.
+
+    `doubtful` says that states in the span cannot be trusted; a gap has none to doubt.
+    """
+
+    rule: str
+    bodies: tuple[int, ...]
+    start_ns: int
+    worst_ns: int
+    end_ns: int
+    value: float
+    unit: str
+    threshold: float
+    source: str
+    detail: str
+    doubtful: bool = True
+
+
+def body_issues(bodies: list[Body], motions: list[Motion], audit: AuditConfig) -> list[Issue]:
+    """Gaps, teleports, exchanged names, contradicting headings, frozen poses, implausible units."""
+    issues: list[Issue] = []
+    jumps = [_jumps(body, audit) for body in bodies]
+    for row, (body, motion) in enumerate(zip(bodies, motions, strict=True)):
+        issues += _gaps(row, body, audit)
+        issues += _teleports(row, bodies, jumps, audit)
+        issues += _frozen(row, body, audit)
+        if body.is_vehicle:
+            issues += _headings(row, body, motion, audit)
+            issues += _units(row, body, motion, audit)
+    return issues
+
+
+def clock_issues(clocks: list[Clock], bodies: list[Body]) -> list[Issue]:
+    """Stamps that do not increase, and clocks that step or drift, as `clocks` found them."""
+    rows = {body.name: row for row, body in enumerate(bodies)}
+    issues = []
+    for clock in clocks:
+        who = tuple(sorted(rows[name] for name in clock.vehicles if name in rows))
+        if who:
+            issues.append(
+                Issue(
+                    clock.rule,
+                    who,
+                    clock.start_ns,
+                    clock.worst_ns,
+                    clock.end_ns,
+                    clock.value,
+                    clock.unit,
+                    clock.threshold,
+                    clock.source,
+                    clock.detail,
+                )
+            )
+    return issues
+
+
+def overlap_issues(pairs: Pairs, bodies: list[Body], times_ns: IntArray) -> list[Issue]:
+    """Boxes that overlap at the first common time of a pair: recorded so, not collided."""
+    issues = []
+    fresh = np.flatnonzero(np.diff(pairs.key, prepend=-1) != 0)
+    for start, end in zip(fresh.tolist(), [*fresh[1:].tolist(), pairs.key.size], strict=True):
+        i, j = int(pairs.first[start]), int(pairs.second[start])
+        joint = max(int(bodies[row].track.times_ns[0]) for row in (i, j))
+        gap, bound = pairs["gap_m"][start:end], pairs["gap_bound_m"][start]
+        if pairs.time_ns[start] != times_ns[np.searchsorted(times_ns, joint)] or not gap[0] < -bound:
+            continue
+        last = start + int(np.argmax(np.append(gap, np.inf) > 0.0)) - 1
+        worst = start + int(np.argmin(gap[: last + 1 - start]))
+        depth = float(-pairs["gap_m"][worst])
+        detail = f"overlap by {depth:.3g} m from the first state on"
+        instants = (int(pairs.time_ns[start]), int(pairs.time_ns[worst]), int(pairs.time_ns[last]))
+        issues.append(
+            Issue("data_overlap", (i, j), *instants, depth, "m", float(bound), "sampling bound", detail)
+        )
+    return issues
+
+
+def doubtful_spans(issues: list[Issue], count: int) -> list[IntArray]:
+    """(n, 2) merged spans of doubtful data, one array a body."""
+    spans: list[list[tuple[int, int]]] = [[] for _ in range(count)]
+    for issue in sorted(issues, key=lambda issue: issue.start_ns):
+        if not issue.doubtful:
+            continue
+        for row in issue.bodies:
+            if spans[row] and issue.start_ns <= spans[row][-1][1]:
+                start, end = spans[row][-1]
+                spans[row][-1] = (start, max(end, issue.end_ns))
+            else:
+                spans[row].append((issue.start_ns, issue.end_ns))
+    return [np.asarray(own, dtype=np.int64).reshape(-1, 2) for own in spans]
+
+
+def is_doubtful(spans: IntArray, start_ns: IntArray, end_ns: IntArray) -> NDArray[np.bool_]:
+    """(n,) whether spans of time touch doubtful ones."""
+    if spans.shape[0] == 0:
+        return np.zeros(np.shape(start_ns), dtype=bool)
+    # Doubtful spans are disjoint and sorted: the first that ends late enough decides.
+    row = np.searchsorted(spans[:, 1], start_ns)
+    inside = row < spans.shape[0]
+    return np.asarray(inside & (spans[np.minimum(row, spans.shape[0] - 1), 0] <= end_ns))
+
+
+def _gaps(row: int, body: Body, audit: AuditConfig) -> list[Issue]:
+    times, limit = body.track.times_ns, audit.gap_periods * body.track.period_ns
+    issues = []
+    for k in np.flatnonzero(np.diff(times) > limit).tolist():
+        start, end = int(times[k]), int(times[k + 1])
+        pause = (end - start) / NS_PER_S
+        detail = f"no state for {pause:.6g} s: not judged there"
+        issues.append(
+            Issue(
+                "data_gap",
+                (row,),
+                start,
+                start,
+                end,
+                pause,
+                "s",
+                limit / NS_PER_S,
+                "ours",
+                detail,
+                doubtful=False,
+            )
+        )
+    return issues
+
+
+def _jumps(body: Body, audit: AuditConfig) -> IntArray:
+    """Samples before which a body moved further than it could have."""
+    track = body.track
+    if track.times_ns.size < 2:
+        return np.empty(0, dtype=np.int64)
+    step = np.diff(track.times_ns) / NS_PER_S
+    moved = np.hypot(*np.diff(track.states[:, :2], axis=0).T)
+    if body.speed_derived:
+        # A speed derived from positions has the jump in it; the usual pace about it has not.
+        paces = sliding_window_view(np.pad(moved / step, _PACES // 2, mode="edge"), _PACES)
+        speed = np.median(paces, axis=1)
+    else:
+        speed = np.fmax(np.abs(track.states[:-1, 3]), np.abs(track.states[1:, 3]))
+    speed = np.where(np.isfinite(speed), speed, np.inf)
+    able = speed * step + audit.acceleration_bound_mps2 * step**2 / 2.0 + 3.0 * audit.position_sigma_m
+    return np.asarray(np.flatnonzero(moved > able) + 1)
+
+
+def _teleports(row: int, bodies: list[Body], jumps: list[IntArray], audit: AuditConfig) -> list[Issue]:
+    track, issues = bodies[row].track, []
+    for k in jumps[row].tolist():
+        before, after = int(track.times_ns[k - 1]), int(track.times_ns[k])
+        moved = float(np.hypot(*(track.states[k, :2] - track.states[k - 1, :2])))
+        partner = _exchanged(row, k, bodies, jumps)
+        start, end = before - _AROUND_NS, after + _AROUND_NS
+        limit = 3.0 * audit.position_sigma_m
+        detail = f"moved {moved:.3g} m in {(after - before) / NS_PER_S:.3g} s"
+        if partner is None:
+            issues.append(
+                Issue(
+                    "data_teleport",
+                    (row,),
+                    start,
+                    after,
+                    end,
+                    moved,
+                    "m",
+                    limit,
+                    "v dt + a dt^2 / 2 + 3 sigma",
+                    detail,
+                )
+            )
+        elif partner > row:
+            detail = f"{bodies[row].name} and {bodies[partner].name} exchange places: names were switched"
+            issues.append(
+                Issue("data_id_switch", (row, partner), start, after, end, moved, "m", limit, "ours", detail)
+            )
+    return issues
+
+
+def _exchanged(row: int, k: int, bodies: list[Body], jumps: list[IntArray]) -> int | None:
+    """The body that jumps to where this one was going while this one jumps to where it was going."""
+    own = bodies[row].track
+    for other, its in enumerate(jumps):
+        if other == row:
+            continue
+        track = bodies[other].track
+        for m in its.tolist():
+            if track.times_ns[m] <= own.times_ns[k - 1] or track.times_ns[m - 1] >= own.times_ns[k]:
+                continue
+            if _continues(track, m, own, k) and _continues(own, k, track, m):
+                return other
+    return None
+
+
+def _continues(left: Track, m: int, taken: Track, k: int) -> bool:
+    """Whether sample k of one track is where the other was going at its sample m - 1."""
+    x, y, heading, speed = left.states[m - 1]
+    way = np.nan_to_num(speed) * float(taken.times_ns[k] - left.times_ns[m - 1]) / NS_PER_S
+    ahead = np.array([x + way * np.cos(heading), y + way * np.sin(heading)])
+    return bool(np.hypot(*(taken.states[k, :2] - ahead)) <= _EXCHANGED_M)
+
+
+def _headings(row: int, body: Body, motion: Motion, audit: AuditConfig) -> list[Issue]:
+    forward = np.where(body.track.states[:, 3] < 0.0, np.pi, 0.0)
+    with np.errstate(invalid="ignore"):
+        off = np.abs(wrap_angle(motion.course_rad - body.track.states[:, 2] - forward))
+        wrong = (off > audit.heading_course_rad) & (motion.travel_mps > audit.heading_speed_mps)
+    issues = []
+    for start, end in _runs(wrong, audit.frozen_samples):
+        worst = start + int(np.argmax(off[start:end]))
+        detail = f"the heading is {np.degrees(off[worst]):.0f} degrees off the course"
+        issues.append(
+            Issue(
+                "data_heading",
+                (row,),
+                int(body.track.times_ns[start]),
+                int(body.track.times_ns[worst]),
+                int(body.track.times_ns[end - 1]),
+                float(off[worst]),
+                "rad",
+                audit.heading_course_rad,
+                "ours",
+                detail,
+            )
+        )
+    return issues
+
+
+def _frozen(row: int, body: Body, audit: AuditConfig) -> list[Issue]:
+    states = body.track.states
+    with np.errstate(invalid="ignore"):
+        same = (np.diff(states[:, :3], axis=0, prepend=np.nan) == 0.0).all(axis=1)
+        same &= np.abs(states[:, 3]) > audit.moving_mps
+    issues = []
+    for start, end in _runs(same, audit.frozen_samples):
+        since, until = int(body.track.times_ns[start - 1]), int(body.track.times_ns[end - 1])
+        speed = float(np.abs(states[start:end, 3]).max())
+        detail = f"the pose repeats {end - start} times at {speed:.3g} m/s"
+        count = float(end - start)
+        issues.append(
+            Issue(
+                "data_frozen",
+                (row,),
+                since,
+                until,
+                until,
+                count,
+                "samples",
+                audit.frozen_samples,
+                "ours",
+                detail,
+            )
+        )
+    return issues
+
+
+def _units(row: int, body: Body, motion: Motion, audit: AuditConfig) -> list[Issue]:
+    track = body.track
+    start, end = int(track.times_ns[0]), int(track.times_ns[-1])
+    found: list[tuple[float, str, float, str]] = []
+    if (
+        body.dimensions_source == "log"
+        and not audit.length_least_m <= track.length_m <= audit.length_implausible_m
+    ):
+        found.append((track.length_m, "m", audit.length_implausible_m, f"a length of {track.length_m:.4g} m"))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        speed = np.abs(track.states[:, 3])
+        fastest = float(np.nanmax(speed, initial=0.0))
+        moving = motion.travel_mps > audit.heading_speed_mps
+        ratio = float(np.median(speed[moving] / motion.travel_mps[moving])) if moving.any() else np.nan
+    if fastest > audit.speed_implausible_mps:
+        found.append((fastest, "m/s", audit.speed_implausible_mps, f"a speed of {fastest:.4g} m/s"))
+    if ratio < _SPEED_RATIOS[0] or ratio > _SPEED_RATIOS[1]:
+        detail = f"recorded speeds are {ratio:.3g} times those of the positions: not in m/s, or not in m"
+        found.append((ratio, "", _SPEED_RATIOS[1], detail))
+    issues = [
+        Issue("data_units", (row,), start, start, end, value, unit, limit, "ours", detail)
+        for value, unit, limit, detail in found
+    ]
+    if body.dimension_change_m > audit.dimension_change_m:
+        detail = f"length or width changes by {body.dimension_change_m:.3g} m: the largest is used"
+        change = body.dimension_change_m
+        issues.append(
+            Issue(
+                "data_dimensions",
+                (row,),
+                start,
+                start,
+                end,
+                change,
+                "m",
+                audit.dimension_change_m,
+                "ours",
+                detail,
+            )
+        )
+    return issues
+
+
+def _runs(flags: NDArray[np.bool_], least: int) -> list[tuple[int, int]]:
+    """Half-open runs of True of a least length."""
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
+    return [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True) if b - a >= least]

@@ -1,0 +1,125 @@
+"""What each single vehicle did: accelerations, jerk, yaw rate, and the bicycle that would do it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import polars as pl
+from numpy.typing import NDArray
+
+from istc_replay.audit.bodies import Body
+from istc_replay.audit.smoothing import pieces_of, smoothed
+from istc_replay.audit_config import AuditConfig
+from istc_replay.datatypes import FloatArray
+from istc_replay.states import VEHICLE_SAMPLES_SCHEMA, conform
+from istc_replay.units import NS_PER_S, wrap_angle
+
+#: A curvature is not told of vehicles slower than this [m/s].
+_TURNING_MPS = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Motion:
+    """A body's smoothed motion at its samples, (S,) each; NaN is not judged.
+
+    `course_rad` and `travel_mps` are those of the positions alone; `steering_rad` is what a
+    bicycle needs for the curvature yaw rate / v, `side_slip_rad` the course against the heading
+    less what a rolling rear axle gives the box centre.
+    """
+
+    window: int
+    acceleration_mps2: FloatArray
+    lateral_mps2: FloatArray
+    jerk_mps3: FloatArray
+    yaw_rate_radps: FloatArray
+    steering_rad: FloatArray
+    steering_rate_radps: FloatArray
+    side_slip_rad: FloatArray
+    course_rad: FloatArray
+    travel_mps: FloatArray
+
+
+def smoothed_motion(body: Body, audit: AuditConfig) -> Motion:
+    """Smooth a body's recorded motion, never across gaps.
+
+    Acceleration and jerk are derivatives of the recorded speed, the yaw rate of the heading; the
+    course is that of the smoothed positions.
+    """
+    track = body.track
+    longest = audit.gap_periods * track.period_ns
+    pieces = pieces_of(track.times_ns, longest)
+    times = (track.times_ns - track.times_ns[0]) / NS_PER_S
+    window = fit_samples(track.period_ns / NS_PER_S, audit)
+    x, y, heading, speed = track.states.T
+    _, dx, _ = smoothed(times, x, pieces, window)
+    _, dy, _ = smoothed(times, y, pieces, window)
+    even, acceleration, jerk = smoothed(times, speed, pieces, window)
+    finite = np.isfinite(heading)
+    unwrapped = np.full(heading.shape, np.nan)
+    unwrapped[finite] = np.unwrap(heading[finite])
+    turned, yaw_rate, _ = smoothed(times, unwrapped, pieces, window)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        curvature = np.where(np.abs(even) > _TURNING_MPS, yaw_rate / even, np.nan)
+        steering = np.arctan(body.wheelbase_m * curvature)
+        _, steering_rate, _ = smoothed(times, steering, pieces, window)
+        forward = np.where(even < 0.0, np.pi, 0.0)
+        course = wrap_angle(np.arctan2(dy, dx))
+        travel = np.hypot(dx, dy)
+        rolling = np.arctan(body.rear_axle_to_centre_m * curvature)
+        slip = np.where(
+            travel > audit.heading_speed_mps, wrap_angle(course - forward - turned - rolling), np.nan
+        )
+    return Motion(
+        window=window,
+        acceleration_mps2=acceleration,
+        lateral_mps2=even * yaw_rate,
+        jerk_mps3=jerk,
+        yaw_rate_radps=yaw_rate,
+        steering_rad=steering,
+        steering_rate_radps=steering_rate,
+        side_slip_rad=slip,
+        course_rad=course,
+        travel_mps=travel,
+    )
+
+
+def fit_samples(period_s: float, audit: AuditConfig) -> int:
+    """Odd number of samples of a fit: those configured, or more where they span too little."""
+    if period_s <= 0.0:
+        return audit.smoothing_samples
+    spanning = int(np.ceil(audit.smoothing_s / period_s - 1e-6)) + 1
+    return max(audit.smoothing_samples, spanning + (spanning + 1) % 2)
+
+
+def vehicles_table(
+    bodies: list[Body], motions: list[Motion], affected: list[NDArray[np.bool_]]
+) -> pl.DataFrame:
+    """The table of VEHICLE_SAMPLES_SCHEMA, pedestrians and others left out."""
+    parts = []
+    for body, motion, doubtful in zip(bodies, motions, affected, strict=True):
+        if not body.is_vehicle:
+            continue
+        columns = {
+            name: getattr(motion, name)
+            for name in VEHICLE_SAMPLES_SCHEMA
+            if name in Motion.__dataclass_fields__
+        }
+        x, y, _, speed = body.track.states.T
+        parts.append(
+            pl.DataFrame(
+                {
+                    "vehicle_id": [body.name] * x.size,
+                    "time_ns": body.track.times_ns,
+                    "x_m": x,
+                    "y_m": y,
+                    "speed_mps": speed,
+                    **columns,
+                    "topic": body.topic.tolist(),
+                    "message_index": body.message_index,
+                    "affected": doubtful,
+                }
+            )
+        )
+    table = pl.concat(parts) if parts else pl.DataFrame(schema=VEHICLE_SAMPLES_SCHEMA)
+    return conform(table.with_columns(pl.col(pl.Float64).fill_nan(None)), VEHICLE_SAMPLES_SCHEMA)
