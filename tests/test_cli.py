@@ -8,12 +8,16 @@ import resource
 import signal
 import subprocess
 import sys
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import polars as pl
 import pytest
 
 from istc_replay.cli import cli
+from istc_replay.export.sample_log import sample_bytes
+from istc_replay.samples.scenes import find_sample
 
 ROOT = Path(__file__).resolve().parents[1]
 SAMPLES = sorted((ROOT / "sample_logs").glob("*.mcap"))
@@ -344,3 +348,72 @@ def test_bench_replays_perturbed_copies_of_a_scene() -> None:
     assert found["perturbed"] == 2
     assert found["certified_and_arrived"] + len(found["misses"]) == 2
     assert done.returncode == (0 if not found["misses"] else 4)
+
+
+def altered(tmp_path: Path, change: Callable[[pl.DataFrame], pl.DataFrame]) -> Path:
+    """The intersection as a log whose recorded states were changed."""
+    recorded = find_sample("intersection_turn_first").record()
+    path = tmp_path / "altered.mcap"
+    path.write_bytes(sample_bytes(replace(recorded, states=change(recorded.states))))
+    (tmp_path / "fast.toml").write_text(FAST)
+    return path
+
+
+def run_fast(log: Path) -> subprocess.CompletedProcess[str]:
+    """Run a log in fast mode, results beside it."""
+    return call("run", log, "-c", log.parent / "fast.toml", "-o", log.parent / "out")
+
+
+def test_a_log_without_vehicles_names_its_schemas(tmp_path: Path) -> None:
+    from mcap.writer import Writer
+
+    log = tmp_path / "other.mcap"
+    with log.open("wb") as file:
+        writer = Writer(file)
+        writer.start()
+        schema = writer.register_schema("sensor_msgs/msg/Imu", "ros2msg", b"float64 x")
+        channel = writer.register_channel("/imu", "cdr", schema)
+        writer.add_message(channel, 0, b"\x00\x01\x00\x00" + b"\x00" * 8, 0)
+        writer.finish()
+    failed(call("run", log, "-o", tmp_path / "out"), 3, "no vehicle states", "sensor_msgs/msg/Imu")
+
+
+def test_one_vehicle_is_planned_alone(tmp_path: Path) -> None:
+    done = run_fast(altered(tmp_path, lambda states: states.filter(pl.col("vehicle_id") == "1")))
+    assert done.returncode == 0, done.stderr
+    assert "1 of 1 plannable vehicles certified" in done.stdout
+
+
+def test_vehicles_that_overlap_at_the_start_are_named_with_exit_code_4(tmp_path: Path) -> None:
+    def beside(states: pl.DataFrame) -> pl.DataFrame:
+        twin = states.filter(pl.col("vehicle_id") == "1").with_columns(
+            vehicle_id=pl.lit("4"), y_m=pl.col("y_m") + 1.0
+        )
+        return pl.concat([states, twin])
+
+    done = run_fast(altered(tmp_path, beside))
+    assert done.returncode == 4
+    assert "1 and 4 cannot be separated in time unit 0" in done.stdout
+    assert (tmp_path / "out" / "altered" / "report.html").is_file()
+
+
+def test_states_that_are_not_numbers_are_told_and_left_out(tmp_path: Path) -> None:
+    def holed(states: pl.DataFrame) -> pl.DataFrame:
+        ill = (pl.col("vehicle_id") == "2") & (pl.int_range(pl.len()).over("vehicle_id") % 7 == 3)
+        return states.with_columns(x_m=pl.when(ill).then(float("nan")).otherwise(pl.col("x_m")))
+
+    done = run_fast(altered(tmp_path, holed))
+    assert done.returncode == 0, done.stderr
+    assert "3 of 3 plannable vehicles certified" in done.stdout
+    assert "not_finite" in done.stdout
+
+
+def test_a_vehicle_without_heading_is_named_and_the_rest_planned(tmp_path: Path) -> None:
+    def blind(states: pl.DataFrame) -> pl.DataFrame:
+        unknown = pl.col("vehicle_id") == "2"
+        return states.with_columns(heading_rad=pl.when(unknown).then(None).otherwise(pl.col("heading_rad")))
+
+    done = run_fast(altered(tmp_path, blind))
+    assert done.returncode == 0, done.stderr
+    assert "2 of 2 plannable vehicles certified (3 present)" in done.stdout
+    assert "left out: 2: no state has heading_rad" in done.stdout
