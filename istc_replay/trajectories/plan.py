@@ -24,7 +24,7 @@ from istc_replay.trajectories.walls import SIDES, Grid, box_extents, excess, rai
 #: What a soft solution may stick out by and still count as touching [m].
 _NEARLY_INSIDE_M = 1e-3
 #: Rounding allowed when the continuous-time check judges a wall [m].
-_TOUCHING_M = 1e-6
+_TOUCHING_M = 5e-7
 #: How often margins are raised where the car-box leaves a cube between wall instants.
 _REFINEMENTS = 4
 

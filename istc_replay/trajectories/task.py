@@ -23,6 +23,8 @@ from istc_replay.trajectories.walls import SIDES, Grid, base_margins, box_extent
 
 #: How far a start may miss a limit or its first cube and still be taken as within.
 _ROUNDING = 1e-6
+#: Recorded speeds above this are the jitter of a standing car, not reversing.
+_STANDING_MPS = -0.1
 WALLS = ("x_min", "x_max", "y_min", "y_max")
 
 
@@ -30,8 +32,8 @@ WALLS = ("x_min", "x_max", "y_min", "y_max")
 class Task:
     """The NLP's numbers for one vehicle, moved so that the car-box starts at the origin.
 
-    `cubes_m` (K, 4), `pivots_m` (K+1, 2), `headings_rad` (K+1,) unwrapped from the start's,
-    `origin_m` (2,) where the start lies in the corridor frame.
+    `cubes_m` (K, 4), `pivots_m` (K+1, 2), `headings_rad` (K+1,) of the start and then of the
+    guidance, unwrapped; `origin_m` (2,) where the start lies in the corridor frame.
     """
 
     vehicle_id: str
@@ -64,7 +66,7 @@ class Task:
         start = participant.start
         units = grid.units
         origin = np.array([start.x_m, start.y_m])
-        headings = np.unwrap(np.concatenate([[start.heading_rad], guidance.headings_rad]))[1:]
+        headings = np.unwrap(np.concatenate([[start.heading_rad], guidance.headings_rad[1:]]))
         pivots = np.asarray(corridor.pivots_m) - origin
         shapes = (corridor.cubes_m.shape, pivots.shape, headings.shape)
         if units < 1 or shapes != ((units, 4), (units + 1, 2), (units + 1,)):
@@ -72,12 +74,16 @@ class Task:
                 f"vehicle {corridor.vehicle_id}: cubes, pivots and headings of shapes {shapes} do not make a "
                 "corridor of K >= 1 cubes: give (K, 4), (K+1, 2) and (K+1,)"
             )
-        if not all(np.isfinite(part).all() for part in (corridor.cubes_m, pivots, headings, speed_max_mps)):
+        numbers = (corridor.cubes_m, pivots, headings, (start.speed_mps, speed_max_mps))
+        if not all(np.isfinite(part).all() for part in numbers):
             raise SolveError(
-                f"vehicle {corridor.vehicle_id}: its corridor, guidance or speed limit holds a number that "
+                f"vehicle {corridor.vehicle_id}: its start, corridor or guidance holds a number that "
                 "is not finite: leave the vehicle out"
             )
         cubes = np.asarray(corridor.cubes_m) - np.repeat(origin, 2)
+        box = box_extents(np.zeros(2), np.asarray(start.heading_rad), participant.dimensions)
+        if (SIDES * (box - cubes[0])).max() <= _ROUNDING:
+            cubes[0] = SIDES * np.maximum(SIDES * cubes[0], SIDES * box)
         return cls(
             vehicle_id=corridor.vehicle_id,
             first_unit=corridor.first_unit,
@@ -93,33 +99,22 @@ class Task:
 
     def start_fault(self, config: TrajectoriesConfig) -> Undrivable | None:
         """What makes the start itself impossible, or None."""
-        start = self.start
-        steering = start.steering_rad or 0.0
-        acceleration = start.acceleration_mps2 or 0.0
+        start, braking = self.start, config.deceleration_max_mps2
         limits = (
-            ("speed", start.speed_mps, 0.0, self.speed_max_mps, "m/s"),
-            ("steering", steering, -config.steering_max_rad, config.steering_max_rad, "rad"),
-            (
-                "acceleration",
-                acceleration,
-                -config.deceleration_max_mps2,
-                config.acceleration_max_mps2,
-                "m/s^2",
-            ),
+            ("speed", start.speed_mps, _STANDING_MPS, self.speed_max_mps, "m/s"),
+            ("steering", start.steering_rad, -config.steering_max_rad, config.steering_max_rad, "rad"),
+            ("acceleration", start.acceleration_mps2, -braking, config.acceleration_max_mps2, "m/s^2"),
         )
         for name, value, low, high, unit in limits:
-            if not low - _ROUNDING <= value <= high + _ROUNDING:
-                return self.undrivable(
-                    0, 0.0, f"it starts with {name} {value:.3f} {unit}, outside [{low:.3f}, {high:.3f}]"
-                )
+            if value is not None and not low - _ROUNDING <= value <= high + _ROUNDING:
+                detail = f"it starts with {name} {value:.3f} {unit}, outside [{low:.3f}, {high:.3f}]"
+                return self.undrivable(0, 0.0, detail)
         box = box_extents(np.zeros(2), np.asarray(start.heading_rad), self.dimensions)
         out = SIDES * (box - self.cubes_m[0])
         if out.max() > _ROUNDING:
-            wall = WALLS[int(out.argmax())]
+            where = f"{out.max():.3f} m at {WALLS[int(out.argmax())]}"
             return self.undrivable(
-                0,
-                float(out.max()),
-                f"its start box sticks out of its first cube by {out.max():.3f} m at {wall}",
+                0, float(out.max()), f"its start box sticks out of its first cube by {where}"
             )
         return None
 
@@ -129,7 +124,7 @@ class Task:
 
     def data(self, config: TrajectoriesConfig, margin_m: float, extra_m: FloatArray) -> NlpData:
         """Bounds and parameters of the NLP, eq. (18) and (19); `extra_m` (P, 4) is added to the margins."""
-        margins = base_margins(self.cubes_m, self.pivots_m, self._box_headings(), self.dimensions, margin_m)
+        margins = base_margins(self.cubes_m, self.pivots_m, self.headings_rad, self.dimensions, margin_m)
         lower, upper = self._state_bounds(config)
         return NlpData(
             dimensions=self.dimensions,
@@ -143,24 +138,16 @@ class Task:
         """States (S, 6) and controls (S-1, 2): pivotal points and guidance headings, linear in time."""
         grid = self.grid
         centres = self._over_time(self.pivots_m)
-        headings = self._over_time(self._box_headings())
-        axle = shift_along(
-            centres[:, 0], centres[:, 1], headings, np.float64(-self.dimensions.rear_axle_to_centre_m)
-        )
+        headings = self._over_time(self.headings_rad)
+        axle = shift_along(centres[:, 0], centres[:, 1], headings, -self.dimensions.rear_axle_to_centre_m)
         steps = np.hypot(*np.diff(self.pivots_m, axis=0).T) / grid.unit_s  # (K,)
         boundary = np.concatenate([[self.start.speed_mps], (steps[:-1] + steps[1:]) / 2, steps[-1:]])
         speeds = np.clip(self._over_time(boundary), 0.0, self.speed_max_mps)
         turning = np.gradient(headings, grid.step_s) / np.maximum(speeds, 1.0)
-        steering = np.clip(
-            np.arctan(turning * self.dimensions.wheelbase_m),
-            -0.9 * config.steering_max_rad,
-            0.9 * config.steering_max_rad,
-        )
+        most = 0.9 * config.steering_max_rad
+        steering = np.clip(np.arctan(turning * self.dimensions.wheelbase_m), -most, most)
         states = np.column_stack([axle, headings, steering, speeds, np.zeros_like(speeds)])
         return states, np.zeros((grid.intervals, 2))
-
-    def _box_headings(self) -> FloatArray:
-        return np.concatenate([[self.start.heading_rad], self.headings_rad[1:]])
 
     def _over_time(self, values: FloatArray) -> FloatArray:
         """Values (K+1, ...) at unit boundaries, linear in time at the knots (S, ...)."""
@@ -172,25 +159,14 @@ class Task:
 
     def _state_bounds(self, config: TrajectoriesConfig) -> tuple[FloatArray, FloatArray]:
         """Limits (S, 6) of eq. (18), the start fixed where it is known."""
-        most = np.array(
-            [
-                np.inf,
-                np.inf,
-                np.inf,
-                config.steering_max_rad,
-                self.speed_max_mps,
-                config.acceleration_max_mps2,
-            ]
-        )
-        least = -most
-        least[4], least[5] = 0.0, -config.deceleration_max_mps2
-        lower, upper = (
-            np.tile(least, (self.grid.intervals + 1, 1)),
-            np.tile(most, (self.grid.intervals + 1, 1)),
+        steering, braking, free = config.steering_max_rad, config.deceleration_max_mps2, np.inf
+        knots = self.grid.intervals + 1
+        lower = np.tile([-free, -free, -free, -steering, 0.0, -braking], (knots, 1))
+        upper = np.tile(
+            [free, free, free, steering, self.speed_max_mps, config.acceleration_max_mps2], (knots, 1)
         )
         start = self.start
-        back = -self.dimensions.rear_axle_to_centre_m
-        x, y = shift_along(0.0, 0.0, start.heading_rad, back)
+        x, y = shift_along(0.0, 0.0, start.heading_rad, -self.dimensions.rear_axle_to_centre_m)
         speed = float(np.clip(start.speed_mps, 0.0, self.speed_max_mps))
         fixed: list[tuple[int, float | None]] = [(0, x), (1, y), (2, start.heading_rad), (4, speed)]
         fixed += [(3, start.steering_rad), (5, start.acceleration_mps2)]

@@ -14,12 +14,20 @@ import numpy as np
 from istc_replay.bicycle import dense_motion
 from istc_replay.config import TrajectoriesConfig
 from istc_replay.datatypes import Dimensions, FloatArray
+from istc_replay.errors import SolveError
 from istc_replay.geometry import box_corners, shift_along
 
 #: +1 for a wall that bounds from above, -1 for one that bounds from below.
 SIDES = np.array([-1.0, 1.0, -1.0, 1.0])
-#: Spacing of the samples that the continuous-time check bounds the motion between.
-_DENSE_S = 0.01
+#: Spacing of the samples that the continuous-time check bounds the motion between: everywhere, and
+#: in intervals that this cannot decide.
+_DENSE_S, _FINEST_S = 0.01, 2e-4
+#: Room that no margin is taken from: it is all that IPOPT has to move in.
+_SLIVER_M = 2e-3
+#: Every wall is this much further out, well below the rounding that certificates allow.
+_GIVE_M = 2e-7
+#: An NLP of more control intervals would take minutes and gigabytes.
+_MOST_INTERVALS = 1000
 
 
 @dataclass(frozen=True, slots=True)
@@ -33,8 +41,19 @@ class Grid:
 
     @classmethod
     def cut(cls, units: int, unit_s: float, config: TrajectoriesConfig) -> Grid:
-        """Cut units into the longest control intervals that are at most `config.step_s`."""
-        per_unit = math.ceil(unit_s / config.step_s - 1e-9)
+        """Cut units into the longest control intervals that are at most `config.step_s`.
+
+        Raises
+        ------
+        SolveError
+            If that makes more than `_MOST_INTERVALS`.
+        """
+        per_unit = max(1, math.ceil(unit_s / config.step_s - 1e-9))
+        if units * per_unit > _MOST_INTERVALS:
+            raise SolveError(
+                f"{units} units of {unit_s:g} s at trajectories.step_s = {config.step_s:g} make "
+                f"{units * per_unit} control intervals, at most {_MOST_INTERVALS}: raise step_s"
+            )
         return cls(units, per_unit, unit_s / per_unit, 2 if config.integrator == "rk4" else 1)
 
     @property
@@ -75,12 +94,13 @@ def base_margins(
 ) -> FloatArray:
     """Margins (K, 4) that leave the car-boxes at the pivotal points inside.
 
-    Half of what these boxes have left to each wall, at most `margin_m`: a least cube around a
-    standing car, or a start box that touches a wall, must not make the NLP infeasible.
+    Half of what these boxes have left to each wall beyond `_SLIVER_M`, at most `margin_m`: a least
+    cube around a standing car, or a start box that touches a wall, must not make the NLP
+    infeasible. Walls that touch give way by less than rounding, so that it keeps an interior.
     """
     boxes = box_extents(pivots_m, headings_rad, dimensions)
     room = SIDES * (cubes_m[:, None, :] - np.stack([boxes[:-1], boxes[1:]], axis=1))  # (K, 2, 4)
-    return np.asarray(np.clip(room.min(axis=1) / 2, 0.0, margin_m))
+    return np.asarray(np.clip((room.min(axis=1) - _SLIVER_M) / 2, 0.0, margin_m) - _GIVE_M)
 
 
 def walls_at(grid: Grid, cubes_m: FloatArray, margins_m: FloatArray, extra_m: FloatArray) -> FloatArray:
@@ -118,26 +138,37 @@ def excess(
     ndarray
         (S-1, 4) an upper bound for each control interval and wall [m], negative inside.
     """
+    cubes = np.repeat(cubes_m, grid.per_unit, axis=0)
     states, rates, h = dense_motion(start, controls, grid.step_s, dimensions.wheelbase_m, _DENSE_S)
+    out = _furthest(states, rates, h, dimensions) - SIDES * cubes
+    for i in np.flatnonzero(out.max(axis=1) > 0.0):
+        # Near a wall that is touched, only finer samples tell rounding from leaving.
+        piece = dense_motion(
+            states[i, 0], controls[i : i + 1], grid.step_s, dimensions.wheelbase_m, _FINEST_S
+        )
+        out[i] = (_furthest(*piece, dimensions) - SIDES * cubes[i])[0]
+    return np.asarray(out)
+
+
+def _furthest(states: FloatArray, rates: FloatArray, h: float, dimensions: Dimensions) -> FloatArray:
+    """How far outward the corners get in each control interval, (n, 4)."""
     centres = shift_along(states[..., 0], states[..., 1], states[..., 2], dimensions.rear_axle_to_centre_m)
     corners = box_corners(
         centres[..., 0], centres[..., 1], states[..., 2], dimensions.length_m, dimensions.width_m
-    )  # (S-1, m+1, 4, 2)
+    )  # (n, m+1, 4, 2)
     reach = math.hypot(
         abs(dimensions.rear_axle_to_centre_m) + dimensions.length_m / 2, dimensions.width_m / 2
     )
     v, a, w, slope = states[..., 4], states[..., 5], rates[..., 0], rates[..., 1]
     bend = np.abs(a) + np.abs(v * w) + reach * (np.abs(slope) + w**2)
-    bend = np.maximum(bend[:, :-1], bend[:, 1:])[..., None, None]  # (S-1, m, 1, 1)
-    out = np.repeat(corners, 2, axis=-1) * SIDES  # (S-1, m+1, 4, 4), outward is positive
-    furthest = _arc_top(out[:, :-1], out[:, 1:], bend, h).max(axis=(1, 2))  # (S-1, 4)
-    cubes = np.repeat(cubes_m, grid.per_unit, axis=0)
-    return np.asarray(furthest - SIDES * cubes)
+    bend = np.maximum(bend[:, :-1], bend[:, 1:])[..., None, None]  # (n, m, 1, 1)
+    out = np.repeat(corners, 2, axis=-1) * SIDES  # (n, m+1, 4, 4), outward is positive
+    return np.asarray(_arc_top(out[:, :-1], out[:, 1:], bend, h).max(axis=(1, 2)))
 
 
 def raised(grid: Grid, extra_m: FloatArray, excess_m: FloatArray) -> FloatArray:
     """Extra margins (P, 4) where an interval's excess asks for them, at its wall instants."""
-    need = np.where(excess_m > 0.0, 1.2 * excess_m + 5e-4, 0.0)
+    need = np.where(excess_m > 0.0, 1.5 * excess_m + 1e-6, 0.0)
     here = np.repeat(need, grid.points, axis=0)
     before = np.vstack([need[1:], need[-1:] * 0.0])
     here[grid.points - 1 :: grid.points] = np.maximum(need, before)  # an interval's end starts the next
@@ -153,6 +184,6 @@ def _arc_top(c0: FloatArray, c1: FloatArray, bend: FloatArray, h: float) -> Floa
     """Highest value of a chord from c0 to c1 plus bend s (h - s) / 2 over s in [0, h]."""
     rise = np.abs(c1 - c0)
     sag = bend * (h * h / 2)
-    safe = np.where(sag > 0.0, sag, 1.0)
+    safe = np.where(rise < sag, sag, 1.0)
     arc = (c0 + c1) / 2 + sag / 4 + rise**2 / (4 * safe)
     return np.where(rise < sag, arc, np.maximum(c0, c1))
