@@ -65,7 +65,10 @@ class Problem:
 
 @dataclass(frozen=True, slots=True)
 class ChannelInfo:
-    """One channel of a log, as `info` tells it; `understood_as` is None where it is not read."""
+    """One channel of a log, as `info` tells it.
+
+    `understood_as` is None where it is not read; `reason` says why nothing of it is used.
+    """
 
     topic: str
     schema: str
@@ -73,6 +76,7 @@ class ChannelInfo:
     message_encoding: str
     messages: int
     understood_as: str | None
+    reason: str = ""
 
 
 # --- the static scene of a log ---------------------------------------------------------------

@@ -211,8 +211,10 @@ def _resampled(
     def sampled(values: FloatArray) -> FloatArray:
         return np.asarray(np.interp(at, times, values))
 
-    def optional(name: str) -> FloatArray:
-        return sampled(known[name].fill_null(math.nan).to_numpy())
+    def optional(name: str, derived: int = 0) -> FloatArray:
+        # What was derived is no measurement: the plan stays free where nothing was recorded.
+        recorded = pl.when((pl.col("derived").fill_null(0) & derived) == 0).then(name)
+        return sampled(known.select(recorded.fill_null(math.nan)).to_series().to_numpy())
 
     return _Track(
         first_unit,
@@ -221,7 +223,7 @@ def _resampled(
         read_only(np.stack([sampled(points[:, 0]), sampled(points[:, 1]), sampled(headings)], axis=-1)),
         read_only(sampled(known["speed_mps"].to_numpy())),
         read_only(optional("steering_rad")),
-        read_only(optional("acceleration_mps2")),
+        read_only(optional("acceleration_mps2", derived=4)),
     )
 
 

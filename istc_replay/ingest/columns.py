@@ -1,151 +1,208 @@
-"""States as the decoders give them, gathered into columns."""
+"""Columns of states, gathered in blocks as the payloads are decoded."""
 
 from __future__ import annotations
 
-from typing import NamedTuple, Protocol
+from dataclasses import dataclass
 
-import polars as pl
+import numpy as np
+from numpy.typing import NDArray
 
+from istc_replay.ingest.channels import Format
+from istc_replay.ingest.meaning import Floats, Names, States, vehicle_of
 from istc_replay.ingest.problems import Problems, quoted
-from istc_replay.ingest.records import Message
-from istc_replay.states import STATES_SCHEMA, conform
 
-#: Longest payload that is decoded [bytes]: objects take some 60 times their bytes while decoded.
-PAYLOAD_LIMIT = 4 * 2**20
+Ints = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
 _ID_LIMIT = 256
-_INT64 = 2**63
+#: Faults of one kind in one block that are told one by one; the others are counted.
+_TOLD = 5
 
 
-class PayloadError(ValueError):
-    """A payload or a schema cannot be decoded; `code` is the problem's."""
+@dataclass(frozen=True, slots=True, eq=False)
+class Payloads:
+    """What a block's payloads carry beside their data; all arrays (n,), one entry a payload."""
 
-    def __init__(self, detail: str, code: str = "payload") -> None:
-        super().__init__(detail)
-        self.code = code
+    ordinals: Ints  # place in the log
+    log_ns: NDArray[np.uint64]
+    publish_ns: NDArray[np.uint64]
+    topics: Ints  # codes
+    indexes: Ints  # place within the topic
+    offsets: Ints
 
 
-class State(NamedTuple):
-    """One vehicle's state in one message; None where the message is silent.
+@dataclass(slots=True, eq=False)
+class Block:
+    """States in the order of the log, all arrays (m,); floats are NaN where nothing is told.
 
-    The position is that of the channel's reference point, in the map frame; the time is the
-    message's own.
+    `whole` has the columns of STATES_SCHEMA that are integers, codes of names among them, and
+    `ordinal`, `frame` and `child`.
     """
 
-    vehicle_id: str
-    header_ns: int | None
-    role: str
-    x_m: float | None
-    y_m: float | None
-    heading_rad: float | None = None
-    speed_mps: float | None = None
-    acceleration_mps2: float | None = None
-    steering_rad: float | None = None
-    steering_rate_radps: float | None = None
-    jerk_mps3: float | None = None
-    length_m: float | None = None
-    width_m: float | None = None
-    wheelbase_m: float | None = None
-    rear_axle_to_centre_m: float | None = None
+    whole: dict[str, Ints]
+    numbers: dict[str, Floats]
+    format: str
+    family: str
+    rank: int
+
+    def only(self, index: Ints | Mask) -> Block:
+        """Return the states at the index alone."""
+        whole = {name: column[index] for name, column in self.whole.items()}
+        numbers = {name: column[index] for name, column in self.numbers.items()}
+        return Block(whole, numbers, self.format, self.family, self.rank)
 
 
-class Reader(Protocol):
-    """Decodes the payloads of one channel."""
+class Gatherer:
+    """Makes blocks of states; what cannot stand in the table is left out and told."""
 
-    def states(self, data: bytes) -> list[State]:
-        """Decode one payload.
-
-        Raises
-        ------
-        PayloadError
-            If the payload cannot be decoded.
-        """
-
-
-_KEYS = ("time_ns", "log_time_ns", "publish_time_ns", "message_index", "topic")
-_SCHEMA = pl.Schema(
-    {name: STATES_SCHEMA[name] for name in (*_KEYS, "vehicle_id", "role", *State._fields[3:])}
-)
-_FLOATS = State._fields[3:]
-_BATCH = 8192
-
-
-class StateColumns:
-    """The states of a log as columns, in the order of the file."""
-
-    def __init__(self, time_source: str, limit: int, problems: Problems) -> None:
+    def __init__(self, time_source: str, limit: int, problems: Problems, names: Names) -> None:
         self._time_source = time_source
-        self._limit = limit
-        self._problems = problems
-        self._count = 0
-        self._rows: list[tuple[object, ...]] = []
-        self._offsets: list[int] = []
-        self._batches: list[pl.DataFrame] = []
+        self._left, self._limit = limit, limit
+        self._problems, self._names = problems, names
+        self._pairs: dict[tuple[int, int], int] = {}
 
-    def add(self, state: State, message: Message, message_index: int) -> None:
-        """Take in one state; what cannot stand in the table is left out and told."""
-        topic = message.channel.topic
-        times = self._times(state, message)
-        if max(times) >= _INT64 or min(times) < -_INT64:
-            worst = max(times, key=abs)
-            detail = f"a time of {worst} ns on {quoted(topic)} is beyond int64; its state is left out"
-            self._problems.add("time_overflow", detail, message.offset)
-            return
-        if not 0 < len(state.vehicle_id) <= _ID_LIMIT:
-            detail = (
-                f"a state on {quoted(topic)} has no vehicle id of 1 to {_ID_LIMIT} characters; it is left out"
-            )
-            self._problems.add("no_vehicle_id", detail, message.offset, topic)
-            return
-        if self._count >= self._limit:
+    def block(
+        self, states: States, payloads: Payloads, own: dict[int, int], format_: Format, rank: int
+    ) -> Block:
+        """Make the block of one group's states.
+
+        Parameters
+        ----------
+        states : States
+            Its `rows` are rows of `payloads`.
+        payloads : Payloads
+            What the payloads carry.
+        own : dict[int, int]
+            The vehicle that the configuration gives to a topic, both as codes.
+        format_ : Format
+            What the payloads are read as.
+        rank : int
+            The block's own.
+        """
+        rows = states.rows
+        topics = payloads.topics[rows]
+        time_ns, wild = self._times(states, payloads, topics)
+        vehicles = self._vehicles(states, topics, own, format_.many)
+        nameless = self._nameless(vehicles)
+        offsets = payloads.offsets[rows]
+        self._tell(nameless & ~wild, topics, offsets)
+        keep = np.flatnonzero(~wild & ~nameless)
+        if len(keep) > self._left:
             detail = f"more than {self._limit} states in a file of this size; the rest is left out"
-            self._problems.lose("too_many_states", detail, message.offset)
-            return
-        self._count += 1
-        self._rows.append((*times, message_index, topic, state.vehicle_id, *state[2:]))
-        self._offsets.append(message.offset)
-        if len(self._rows) == _BATCH:
-            self._close_batch()
+            self._problems.lose("too_many_states", detail, int(offsets[keep[self._left]]))
+            keep = keep[: self._left]
+        self._left -= len(keep)
+        whole = {
+            "ordinal": payloads.ordinals[rows],
+            "time_ns": time_ns,
+            "log_time_ns": payloads.log_ns[rows].astype(np.int64),
+            "publish_time_ns": payloads.publish_ns[rows].astype(np.int64),
+            "message_index": payloads.indexes[rows],
+            "topic": topics,
+            "vehicle": vehicles,
+            "frame": states.frames,
+            "child": states.children,
+            "role": states.roles,
+        }
+        numbers = {name: np.where(states.known[name], v, np.nan) for name, v in states.numbers.items()}
+        for name, column in numbers.items():
+            self._finite(name, column, states.known[name], vehicles, topics, offsets)
+        block = Block(whole, numbers, format_.name, format_.family, rank)
+        return block if len(keep) == len(rows) else block.only(keep)
 
-    def _times(self, state: State, message: Message) -> tuple[int, int, int]:
-        log_ns, publish_ns = message.log_time_ns, message.publish_time_ns
+    def _times(self, states: States, payloads: Payloads, topics: Ints) -> tuple[Ints, Mask]:
+        """Times by the chosen source, and where any time is beyond int64."""
+        rows = states.rows
+        log_ns, publish_ns = payloads.log_ns[rows], payloads.publish_ns[rows]
+        wild = (log_ns >= 2**63) | (publish_ns >= 2**63)
         if self._time_source == "log":
-            return log_ns, log_ns, publish_ns
-        if self._time_source == "publish":
-            return publish_ns, log_ns, publish_ns
-        if state.header_ns is None:
-            topic = message.channel.topic
-            detail = f"a message on {quoted(topic)} has no time of its own; its log time is taken"
-            self._problems.add("no_header_time", detail, message.offset, topic)
-            return log_ns, log_ns, publish_ns
-        return state.header_ns, log_ns, publish_ns
+            time_ns = log_ns.astype(np.int64)
+        elif self._time_source == "publish":
+            time_ns = publish_ns.astype(np.int64)
+        else:
+            time_ns = np.where(states.stamped, states.header_ns, log_ns.astype(np.int64))
+            wild |= states.overflows
+            unstamped = ~states.stamped
+            for topic, name in self._each(topics[unstamped]):
+                detail = f"a message on {quoted(name)} has no time of its own; its log time is taken"
+                hit = np.flatnonzero(unstamped & (topics == topic))
+                offset = int(payloads.offsets[rows[hit[0]]])
+                self._problems.add("no_header_time", detail, offset, name, len(hit))
+        if wild.any():
+            for topic, name in self._each(topics[wild]):
+                hit = np.flatnonzero(wild & (topics == topic))
+                detail = f"a time on {quoted(name)} is beyond int64; its state is left out"
+                offset = int(payloads.offsets[rows[hit[0]]])
+                self._problems.add("time_overflow", detail, offset, name, len(hit))
+        return time_ns, wild
 
-    def _close_batch(self) -> None:
-        values = zip(*self._rows, strict=True)
-        batch = pl.DataFrame(
-            [
-                pl.Series(name, column, dtype)
-                for (name, dtype), column in zip(_SCHEMA.items(), values, strict=True)
-            ]
-        )
-        for name in _FLOATS:
-            wrong = (~batch[name].is_finite()).arg_true()
-            for row in wrong:
-                self._tell_not_finite(batch, name, row)
-            if len(wrong):
-                finite = pl.when(pl.col(name).is_finite()).then(name)
-                batch = batch.with_columns(finite.alias(name))
-        self._batches.append(batch)
-        self._rows, self._offsets = [], []
+    def _each(self, topics: Ints) -> list[tuple[int, str]]:
+        return [(topic, self._names.texts[topic]) for topic in np.unique(topics).tolist()]
 
-    def _tell_not_finite(self, batch: pl.DataFrame, name: str, row: int) -> None:
-        topic, vehicle = batch["topic"][row], quoted(batch["vehicle_id"][row])
-        detail = f"{name} of vehicle {vehicle} on {quoted(topic)} is {batch[name][row]}; taken as unknown"
-        self._problems.add("not_finite", detail, self._offsets[row], topic)
+    def _vehicles(self, states: States, topics: Ints, own: dict[int, int], many: bool) -> Ints:
+        """Codes of the vehicles: as told, else by the frame and the topic; -1 where there is none."""
+        vehicles = states.vehicles
+        if own and not many:
+            given = np.array([own.get(topic, -1) for topic in range(max(own) + 1)], np.int64)
+            configured = np.where(topics < len(given), given[np.minimum(topics, len(given) - 1)], -1)
+            vehicles = np.where(configured >= 0, configured, vehicles)
+        open_ = np.flatnonzero(vehicles < 0)
+        if not len(open_):
+            return vehicles
+        children = states.children[open_]
+        if many and (children < 0).all():
+            return self._numbered(vehicles, open_, states.rows, topics)
+        pairs, own_pair = np.unique(np.stack([topics[open_], children]), axis=1, return_inverse=True)
+        codes = [self._by_frame(topic, child) for topic, child in pairs.T.tolist()]
+        vehicles = vehicles.copy()
+        vehicles[open_] = np.array(codes, np.int64)[own_pair.reshape(-1)]
+        return vehicles
 
-    def table(self) -> pl.DataFrame:
-        """Return the states with the columns of STATES_SCHEMA, in the order of the file."""
-        if self._rows:
-            self._close_batch()
-        states = pl.concat([pl.DataFrame(schema=_SCHEMA), *self._batches])
-        return conform(states.with_columns(derived=pl.lit(0)), STATES_SCHEMA)
+    def _by_frame(self, topic: int, child: int) -> int:
+        key = (topic, child)
+        if key not in self._pairs:
+            frame = self._names.texts[child] if child >= 0 else ""
+            self._pairs[key] = self._names.code(vehicle_of(self._names.texts[topic], frame))
+        return self._pairs[key]
+
+    def _numbered(self, vehicles: Ints, open_: Ints, rows: Ints, topics: Ints) -> Ints:
+        """Name items that nothing names by their topic and their place in the message."""
+        first = np.zeros(len(rows), np.int64)
+        starts = np.flatnonzero(np.diff(rows, prepend=-1))
+        first[starts] = starts
+        place = np.arange(len(rows)) - np.maximum.accumulate(first)
+        vehicles = vehicles.copy()
+        pairs, own = np.unique(np.stack([topics[open_], place[open_]]), axis=1, return_inverse=True)
+        names = [f"{vehicle_of(self._names.texts[topic], '')}/{k}" for topic, k in pairs.T.tolist()]
+        vehicles[open_] = np.array([self._names.code(name) for name in names], np.int64)[own.reshape(-1)]
+        return vehicles
+
+    def _nameless(self, vehicles: Ints) -> Mask:
+        used = np.unique(vehicles)
+        bad = [
+            code for code in used.tolist() if code < 0 or not 0 < len(self._names.texts[code]) <= _ID_LIMIT
+        ]
+        return np.isin(vehicles, bad) if bad else np.zeros(len(vehicles), np.bool_)
+
+    def _tell(self, nameless: Mask, topics: Ints, offsets: Ints) -> None:
+        for topic, name in self._each(topics[nameless]):
+            hit = np.flatnonzero(nameless & (topics == topic))
+            rule = f"no vehicle id of 1 to {_ID_LIMIT} characters"
+            detail = f"a state on {quoted(name)} has {rule}; it is left out"
+            self._problems.add("no_vehicle_id", detail, int(offsets[hit[0]]), name, len(hit))
+
+    def _finite(
+        self, name: str, column: Floats, known: Mask, vehicles: Ints, topics: Ints, offsets: Ints
+    ) -> None:
+        """Take what is not finite as unknown, and tell it."""
+        wrong = np.flatnonzero(~np.isfinite(column) & known)
+        if not len(wrong):
+            return
+        texts = self._names.texts
+        for count, row in enumerate(wrong[:_TOLD].tolist()):
+            topic = texts[topics[row]]
+            vehicle = quoted(texts[vehicles[row]] if vehicles[row] >= 0 else "")
+            detail = f"{name} of vehicle {vehicle} on {quoted(topic)} is {column[row]}; taken as unknown"
+            times = len(wrong) - _TOLD + 1 if count == _TOLD - 1 else 1
+            self._problems.add("not_finite", detail, int(offsets[row]), topic, times)
+        column[wrong] = np.nan

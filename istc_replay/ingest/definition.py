@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from typing import NamedTuple
 
-from istc_replay.ingest.columns import PayloadError
+from istc_replay.ingest.payload import PayloadError
 
 #: Longest definition that is parsed [bytes].
 _LIMIT = 2**18

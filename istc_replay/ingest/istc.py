@@ -1,4 +1,4 @@
-"""Decoding the project's own messages, `istc.v1.VehicleState` and `istc.v1.Scene`."""
+"""Decoding the project's own scenes, `istc.v1.Scene`."""
 
 from __future__ import annotations
 
@@ -11,39 +11,10 @@ from google.protobuf.message import DecodeError
 
 from istc_replay.config import VehiclesConfig
 from istc_replay.datatypes import Dimensions, LaneLine, MapBounds, SceneObstacle, VehicleInfo, read_only
-from istc_replay.ingest.columns import PayloadError, State
+from istc_replay.ingest.payload import PayloadError
 from istc_replay.ingest.problems import Problems, quoted
 from istc_replay.ingest.scene import SceneParts
 from istc_replay.messages import message
-
-
-class VehicleStateReader:
-    """Reads `istc.v1.VehicleState`; `vehicle_id` overrides the messages' own."""
-
-    def __init__(self, vehicle_id: str | None, problems: Problems) -> None:
-        self._type = message("VehicleState")
-        self._vehicle_id = vehicle_id
-        self._problems = problems
-
-    def states(self, data: bytes) -> list[State]:
-        """Decode one payload: one state, or none where it is a planned one."""
-        state = _parse(self._type, data)
-        if state.HasField("window"):
-            # A result is a log as well: what was planned in it was not recorded.
-            self._problems.add("planned_states", "planned states of a result are not recorded ones: left out")
-            return []
-        return [
-            State(
-                self._vehicle_id or state.vehicle_id,
-                state.time_ns,
-                "vehicle",
-                state.x_m,
-                state.y_m,
-                *_optional(state, "heading_rad", "speed_mps", "acceleration_mps2", "steering_rad"),
-                *_optional(state, "steering_rate_radps", "jerk_mps3"),
-                *_lengths(state),
-            )
-        ]
 
 
 class SceneReader:
@@ -55,8 +26,14 @@ class SceneReader:
         self._vehicles = vehicles
         self._problems = problems
 
-    def states(self, data: bytes) -> list[State]:
-        """Decode one payload; a scene holds no states."""
+    def read(self, data: bytes) -> None:
+        """Take in one payload.
+
+        Raises
+        ------
+        PayloadError
+            If it is no scene.
+        """
         scene = _parse(self._type, data)
         for line in scene.lane_lines:
             self._lane_line(line)
@@ -66,7 +43,6 @@ class SceneReader:
             self._vehicle(vehicle)
         if scene.HasField("bounds"):
             self._bounds(scene.bounds)
-        return []
 
     def _refuse(self, what: str, rule: str) -> None:
         self._problems.add("scene", f"{what} of the scene is left out: {rule}")

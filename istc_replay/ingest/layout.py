@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from istc_replay.ingest.batches import Bytes, Ints, rows
-from istc_replay.ingest.columns import PayloadError
+from istc_replay.ingest.payload import PayloadError
 
 #: A leaf that the payload leaves out: unknown, or zero by the rule of its encoding.
 NULL, ZERO = -1, -2

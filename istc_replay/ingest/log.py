@@ -2,29 +2,30 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from pathlib import Path
 
 import polars as pl
 
 from istc_replay.config import Config
 from istc_replay.datatypes import ChannelInfo, Log
-from istc_replay.ingest.channels import FORMATS, Format, base_link_to_centre_m, recognise, reference_point
-from istc_replay.ingest.columns import PAYLOAD_LIMIT, PayloadError, Reader, State, StateColumns
-from istc_replay.ingest.istc import SceneReader, VehicleStateReader
-from istc_replay.ingest.odometry import OdometryReader
-from istc_replay.ingest.osi import OsiReader
+from istc_replay.ingest.channels import FORMATS, base_link_to_centre_m, reference_point, why_not
+from istc_replay.ingest.columns import Block
+from istc_replay.ingest.decoding import Decoding
+from istc_replay.ingest.frames import TransformTree, check_frames, to_root
 from istc_replay.ingest.problems import Problems, quoted
-from istc_replay.ingest.records import Channel, Message, Schema
-from istc_replay.ingest.scene import SceneParts
-from istc_replay.ingest.table import check_times, fill_speeds, sort_states, to_centres, wrap_headings
+from istc_replay.ingest.records import Channel
+from istc_replay.ingest.table import (
+    Columns,
+    check_times,
+    derive_headings,
+    derive_motion,
+    sort_states,
+    to_centres,
+    to_table,
+)
 from istc_replay.ingest.walk import LogFile, open_log
 
-#: More states than this, plus one for every four bytes of the file, are a trap and not a log.
-_STATES_FLOOR = 1_000_000
-#: OSI descriptors that are built for one log.
-_SCHEMAS_LIMIT = 16
-_UNUSABLE = "its schema cannot be used"
+_BETTER_TOLD = "its vehicles are told better by other topics; ingest.topics can choose it"
 
 
 def read_log(path: Path, config: Config | None = None) -> Log:
@@ -61,15 +62,13 @@ class _Reading:
         self._file = file
         self._config = config
         self._problems = Problems()
-        self._parts = SceneParts()
-        self._formats: dict[Channel, Format | None] = {}
-        self._readers: dict[Channel, Reader | None] = {}
-        self._osi: dict[int, OsiReader | None] = {}
+        self._decoding = Decoding(file.size, config, self._problems)
+        self._unused: set[str] = set()
 
     def log(self, path: str) -> Log:
         file = self._file
         sha256 = file.sha256()
-        states = self._table(self._columns(file))
+        states = self._table(self._decoding.blocks(file))
         self._tell_of_channels()
         found = file.problems + self._problems.found()
         return Log(
@@ -84,122 +83,91 @@ class _Reading:
             end_ns=file.end_ns,
             channels=tuple(sorted(map(self._info, file.counts), key=lambda info: info.topic)),
             states=states,
-            scene=self._parts.scene(),
+            scene=self._decoding.parts.scene(),
             problems=found,
             time_source=self._config.ingest.time_source,
         )
 
-    def _columns(self, file: LogFile) -> StateColumns:
-        limit = _STATES_FLOOR + file.size // 4
-        columns = StateColumns(self._config.ingest.time_source, limit, self._problems)
-        indexes: Counter[str] = Counter()
-        for message in file.messages(lambda channel: self._format(channel) is not None):
-            topic = message.channel.topic
-            index = indexes[topic]
-            indexes[topic] += 1
-            try:
-                for state in self._states(message):
-                    columns.add(state, message, index)
-            except PayloadError as error:
-                detail = f"message {index} on {quoted(topic)} is left out: {error}"
-                self._problems.add(error.code, detail, message.offset, topic)
-        return columns
+    def _table(self, blocks: list[Block]) -> pl.DataFrame:
+        names, problems = self._decoding.names, self._problems
+        tree = TransformTree([block for block in blocks if block.family == "tf"], names)
+        blocks = self._best(blocks, tree)
+        for block in blocks:
+            to_root(block, tree)
+        check_frames(blocks, names, problems)
+        states = Columns.of(blocks)
+        check_times(states, names, problems)
+        sort_states(states, names, problems)
+        marks = derive_headings(states)
+        to_centres(states, self._references(), self._config.vehicles, names, problems)
+        marks |= derive_motion(states)
+        return to_table(states, marks, names)
 
-    def _states(self, message: Message) -> list[State]:
-        channel = message.channel
-        if channel not in self._readers:
-            self._readers[channel] = None
-            self._readers[channel] = self._reader(channel)
-        reader = self._readers[channel]
-        if reader is None:
-            raise PayloadError(_UNUSABLE, "schema")
-        if len(message.data) > PAYLOAD_LIMIT:
-            raise PayloadError(
-                f"a payload of {len(message.data)} bytes is above the limit of {PAYLOAD_LIMIT}"
-            )
-        return reader.states(message.data)
+    def _best(self, blocks: list[Block], tree: TransformTree) -> list[Block]:
+        """Keep the states of the formats that tell vehicles best, and those that were chosen."""
+        best = min((block.rank for block in blocks), default=0)
+        kept = []
+        vehicles = list(tree.vehicles())
+        for block in blocks:
+            if block.rank > max(best, 0):
+                self._unused.add(block.format)
+                continue
+            if block.family == "tf":
+                told = block.whole["child"]
+                keep = (told[:, None] == vehicles).any(axis=1) if vehicles else told < 0
+                kept.append(block.only(keep))
+            else:
+                kept.append(block)
+        return kept
 
-    def _reader(self, channel: Channel) -> Reader:
-        format_ = self._format(channel)
-        topic = self._config.ingest.topics.get(channel.topic)
-        vehicle_id = topic.vehicle_id if topic else None
-        if format_ is None or channel.schema is None:
-            raise PayloadError("its channel is not understood", "schema")
-        if format_.name == "istc.v1.Scene":
-            return SceneReader(self._parts, self._config.vehicles, self._problems)
-        if format_.family == "istc":
-            return VehicleStateReader(vehicle_id, self._problems)
-        if format_.family == "odometry":
-            return OdometryReader(channel.topic, channel.schema, vehicle_id, self._problems)
-        return self._osi_reader(channel.schema)
-
-    def _osi_reader(self, schema: Schema) -> OsiReader:
-        # Many channels can share a schema: it is built once, or fails once.
-        key = id(schema)
-        if key not in self._osi:
-            if len(self._osi) >= _SCHEMAS_LIMIT:
-                raise PayloadError(f"the log has more than {_SCHEMAS_LIMIT} OSI schemas", "schema")
-            self._osi[key] = None
-            self._osi[key] = OsiReader(schema, self._parts, self._problems)
-        reader = self._osi[key]
-        if reader is None:
-            raise PayloadError(_UNUSABLE, "schema")
-        return reader
-
-    def _table(self, columns: StateColumns) -> pl.DataFrame:
-        states = columns.table()
-        check_times(states, self._problems)
+    def _references(self) -> dict[int, float | None]:
+        """For topics whose positions are no box centres, the distance to these (None: from the rear axle)."""
         ingest = self._config.ingest
-        references: dict[str, float | None] = {}
-        for channel, format_ in self._formats.items():
+        references: dict[int, float | None] = {}
+        for channel, format_ in self._decoding.formats.items():
             if format_ is None:
                 continue
             point = reference_point(channel.topic, format_, ingest)
             if point != "box_centre":
                 fixed = base_link_to_centre_m(channel.topic, ingest) if point == "base_link" else None
-                references[channel.topic] = fixed
-        centred = to_centres(states, references, self._config.vehicles, self._problems)
-        return fill_speeds(sort_states(wrap_headings(centred)))
-
-    def _format(self, channel: Channel) -> Format | None:
-        if channel not in self._formats:
-            self._formats[channel] = recognise(channel, self._config.ingest)
-        return self._formats[channel]
+                references[self._decoding.names.code(channel.topic)] = fixed
+        return references
 
     def _info(self, channel: Channel) -> ChannelInfo:
-        format_ = self._format(channel)
-        unreadable = channel in self._readers and self._readers[channel] is None
+        format_ = self._decoding.formats.get(channel)
+        refused = self._decoding.refused.get(channel, "")
+        understood = None if format_ is None or refused else format_.name
+        reason = refused or ("" if format_ else why_not(channel, self._config.ingest))
+        if format_ is not None and understood and format_.name in self._unused:
+            reason = _BETTER_TOLD
         return ChannelInfo(
             topic=channel.topic,
             schema=channel.schema.name if channel.schema else "",
             schema_encoding=channel.schema.encoding if channel.schema else "",
             message_encoding=channel.message_encoding,
             messages=self._file.counts[channel],
-            understood_as=None if format_ is None or unreadable else format_.name,
+            understood_as=understood,
+            reason=reason,
         )
 
     def _tell_of_channels(self) -> None:
         """Tell what of the channels and the configuration leaves the reading empty or doubtful."""
-        counts = self._file.counts
+        counts, formats = self._file.counts, self._decoding.formats
         topics = {channel.topic for channel in counts}
         for topic in self._config.ingest.topics:
             if topic not in topics:
-                self._problems.add(
-                    "unknown_topic", f"ingest.topics names {quoted(topic)}, not a topic of this log"
-                )
+                detail = f"ingest.topics names {quoted(topic)}, not a topic of this log"
+                self._problems.add("unknown_topic", detail)
         for channel in counts:
             own = self._config.ingest.topics.get(channel.topic)
-            if own and own.format not in (None, "ignore") and self._format(channel) is None:
-                detail = f"{quoted(channel.topic)} is not encoded as {own.format}; its encoding is "
+            named = own and (own.format not in (None, "ignore") or own.fields)
+            if own and named and formats.get(channel) is None and channel in formats:
+                detail = (
+                    f"{quoted(channel.topic)} is not encoded as {own.format or 'fields'}; its encoding is "
+                )
                 self._problems.add("not_as_configured", detail + quoted(channel.message_encoding))
         if not counts:
             self._problems.add("no_channels", "no channel of this log could be found: it holds no states")
-        elif not any(self._format(channel) for channel in counts):
+        elif not any(formats.get(channel) for channel in counts):
             known = ", ".join(format_.name for format_ in FORMATS)
             self._problems.add("nothing_understood", f"no channel holds a format that is read: {known}")
-        odometries = (reader for reader in self._readers.values() if isinstance(reader, OdometryReader))
-        frames = sorted({frame for reader in odometries for frame in reader.frames})
-        if len(frames) > 1:
-            names = ", ".join(quoted(frame) for frame in frames[:5])
-            detail = f"odometry is told in {len(frames)} frames, taken for one: {names}"
-            self._problems.add("frames_differ", detail)

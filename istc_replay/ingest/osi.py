@@ -6,21 +6,28 @@ is present is 0, because proto3 writers leave zeros out while the schema they em
 
 from __future__ import annotations
 
+import hashlib
 import math
 from typing import Any
 
+import numpy as np
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from google.protobuf.message import DecodeError
 
 from istc_replay.datatypes import SceneObstacle
-from istc_replay.ingest.columns import PayloadError, State
+from istc_replay.ingest.batches import Bytes, Ints
+from istc_replay.ingest.layout import Column
+from istc_replay.ingest.meaning import ROLES, Roles, whole
+from istc_replay.ingest.payload import PayloadError
 from istc_replay.ingest.problems import Problems
 from istc_replay.ingest.records import Schema
+from istc_replay.ingest.scan import Spans, scan
 from istc_replay.ingest.scene import SceneParts
-from istc_replay.units import NS_PER_S
 
 #: Longest descriptor that is built [bytes]; OSI's own has 0.8 MB.
 _DESCRIPTOR_LIMIT = 4 * 2**20
+#: Different stationary objects that are read.
+_STANDING_LIMIT = 200_000
 #: Standing objects that one drives under or over.
 _NOT_IN_THE_WAY = {"TYPE_BRIDGE", "TYPE_OVERHEAD_STRUCTURE"}
 #: Vehicles that do not move like a car: they are obstacles, not planned.
@@ -64,30 +71,40 @@ def message_type(schema: Schema) -> Any:
         raise PayloadError(f"the schema does not declare {schema.name!r}: {reason}", "schema") from None
 
 
-class OsiReader:
-    """Reads `osi3.GroundTruth`, or the one inside `osi3.SensorView`."""
+class StandingObjects:
+    """Takes the stationary objects of OSI messages into the scene, each as it is first told."""
 
-    def __init__(self, schema: Schema, parts: SceneParts, problems: Problems) -> None:
-        self._type = message_type(schema)
-        self._in_view = "global_ground_truth" in self._type.DESCRIPTOR.fields_by_name
-        self._parts = parts
-        self._problems = problems
+    def __init__(self, type_: Any, parts: SceneParts, problems: Problems) -> None:
+        descriptor = type_.DESCRIPTOR
+        self._way: list[int] = []
+        if "global_ground_truth" in descriptor.fields_by_name:
+            self._way.append(descriptor.fields_by_name["global_ground_truth"].number)
+            descriptor = descriptor.fields_by_name["global_ground_truth"].message_type
+        field = descriptor.fields_by_name.get("stationary_object")
+        self._type = None if field is None else message_factory.GetMessageClass(field.message_type)
+        self._way += [] if field is None else [field.number]
+        self._parts, self._problems = parts, problems
+        self._met: set[bytes] = set()
 
-    def states(self, data: bytes) -> list[State]:
-        """Decode one payload: the states of its moving objects."""
-        try:
-            truth = self._type.FromString(data)
-            header_ns = _time_ns(truth)
-            if self._in_view:
-                truth = truth.global_ground_truth
-                header_ns = _time_ns(truth) if truth.HasField("timestamp") else header_ns
-            for obstacle in truth.stationary_object:
-                self._stationary(obstacle)
-            found = [_state(moving, header_ns) for moving in truth.moving_object]
-        except (DecodeError, *_FOREIGN) as error:
-            reason = " ".join(str(error).split())[:200]
-            raise PayloadError(f"not an {self._type.DESCRIPTOR.full_name}: {reason}") from None
-        return found
+    def read(self, data: Bytes, starts: Ints, ends: Ints) -> None:
+        """Read the stationary objects of the payloads in these spans."""
+        if self._type is None:
+            return
+        spans = Spans(np.arange(len(starts)), starts, starts, ends)
+        for number in self._way:
+            spans = scan(data, spans, {number})[0][number]
+        for start, end in zip(spans.starts.tolist(), spans.ends.tolist(), strict=True):
+            raw = data[start:end].tobytes()
+            # They are told again in every message.
+            digest = hashlib.blake2b(raw, digest_size=16).digest()
+            if digest in self._met or len(self._met) >= _STANDING_LIMIT:
+                continue
+            self._met.add(digest)
+            try:
+                self._stationary(self._type.FromString(raw))
+            except (DecodeError, *_FOREIGN) as error:
+                reason = " ".join(str(error).split())[:200]
+                self._problems.add("scene", f"a stationary object is left out: {reason}")
 
     def _stationary(self, standing: Any) -> None:
         obstacle_id = str(standing.id.value)
@@ -107,50 +124,33 @@ class OsiReader:
         self._parts.obstacles[obstacle_id] = SceneObstacle(obstacle_id, *numbers, *size)
 
 
-def _state(moving: Any, header_ns: int | None) -> State:
-    base = moving.base
-    heading_rad = base.orientation.yaw if base.HasField("orientation") else None
-    length_m = width_m = x_m = y_m = None
-    if base.HasField("position"):
-        x_m, y_m = base.position.x, base.position.y
-    if base.HasField("dimension"):
-        length_m, width_m = base.dimension.length or None, base.dimension.width or None
-    wheelbase_m, rear_axle_to_centre_m = _axles(moving)
-    return State(
-        str(moving.id.value) if moving.HasField("id") else "",
-        header_ns,
-        _role(moving),
-        x_m,
-        y_m,
-        heading_rad,
-        _along(base, "velocity", heading_rad),
-        _along(base, "acceleration", heading_rad),
-        length_m=length_m,
-        width_m=width_m,
-        wheelbase_m=wheelbase_m,
-        rear_axle_to_centre_m=rear_axle_to_centre_m,
-    )
+def roles_by_number(type_: Any, items: str) -> Roles:
+    """Make the function from the type columns of moving objects to codes of ROLES."""
+    descriptor = type_.DESCRIPTOR
+    for name in items.split("."):
+        descriptor = descriptor.fields_by_name[name].message_type
+    kinds = _enum_names(descriptor, "type")
+    classification = descriptor.fields_by_name.get("vehicle_classification")
+    vehicles = _enum_names(classification.message_type, "type") if classification else {}
+
+    def roles(columns: dict[str, Column], count: int) -> Ints:
+        kind, vehicle = whole(columns, "type", count), whole(columns, "vehicle_type", count)
+        pairs, own = np.unique(np.stack([kind, vehicle]), axis=1, return_inverse=True)
+        named = [_role(kinds.get(k, ""), vehicles.get(max(v, 0), "")) for k, v in pairs.T.tolist()]
+        table = np.array([ROLES.index(name) for name in named] or [0], np.int64)
+        return table[own.reshape(-1)]
+
+    return roles
 
 
-def _along(base: Any, name: str, heading_rad: float | None) -> float | None:
-    """Component along the heading of a vector of the world frame."""
-    if heading_rad is None or not math.isfinite(heading_rad) or not base.HasField(name):
-        return None
-    vector = getattr(base, name)
-    return float(vector.x * math.cos(heading_rad) + vector.y * math.sin(heading_rad))
+def _enum_names(descriptor: Any, name: str) -> dict[int, str]:
+    field = descriptor.fields_by_name.get(name)
+    if field is None or field.enum_type is None:
+        return {}
+    return {number: value.name for number, value in field.enum_type.values_by_number.items()}
 
 
-def _axles(moving: Any) -> tuple[float | None, float | None]:
-    """Wheelbase and distance from the rear axle to the box centre; 0 is how writers leave them unset."""
-    if not moving.HasField("vehicle_attributes"):
-        return None, None
-    attributes = moving.vehicle_attributes
-    rear_m, front_m = attributes.bbcenter_to_rear.x, attributes.bbcenter_to_front.x
-    return (front_m - rear_m if rear_m and front_m else None), (-rear_m if rear_m else None)
-
-
-def _role(moving: Any) -> str:
-    kind, vehicle = _enum_name(moving, "type"), _enum_name(moving.vehicle_classification, "type")
+def _role(kind: str, vehicle: str) -> str:
     if kind == "TYPE_PEDESTRIAN":
         return "pedestrian"
     if kind != "TYPE_VEHICLE" or vehicle in _OTHER_VEHICLES:
@@ -162,9 +162,3 @@ def _enum_name(source: Any, name: str) -> str:
     values = source.DESCRIPTOR.fields_by_name[name].enum_type.values_by_number
     number = getattr(source, name)
     return values[number].name if number in values else ""
-
-
-def _time_ns(source: Any) -> int | None:
-    if not source.HasField("timestamp"):
-        return None
-    return int(source.timestamp.seconds) * NS_PER_S + int(source.timestamp.nanos)

@@ -26,15 +26,15 @@ class Problems:
         self._counts: dict[tuple[str, str], int] = {}
         self._kinds: dict[str, int] = {}
 
-    def add(self, code: str, detail: str, offset: int | None = None, kind: str = "") -> None:
-        """Tell one fault; `kind` keeps apart what shares a code, such as the topics it befell."""
+    def add(self, code: str, detail: str, offset: int | None = None, kind: str = "", times: int = 1) -> None:
+        """Tell a fault that is there so many times; `kind` keeps apart what shares a code, such as topics."""
         key = (code, kind)
         if key not in self._counts:
             if self._kinds.get(code, 0) >= _KINDS:
                 key = (code, "")
             self._kinds[code] = self._kinds.get(code, 0) + 1
         told = self._told.setdefault(key, [])
-        self._counts[key] = self._counts.get(key, 0) + 1
+        self._counts[key] = self._counts.get(key, 0) + times
         if len(told) < _TOLD and not (told and told[-1].detail == detail):
             told.append(Problem(code, detail, offset))
 

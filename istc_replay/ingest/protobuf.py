@@ -9,8 +9,8 @@ import numpy as np
 from google.protobuf.message import DecodeError, EncodeError
 
 from istc_replay.ingest.batches import Bytes, Ints
-from istc_replay.ingest.columns import PayloadError
 from istc_replay.ingest.layout import NULL, ZERO, Column, Decoded, Decoder, Layout, Leaf, joined_parts, take
+from istc_replay.ingest.payload import PayloadError
 from istc_replay.ingest.scan import Spans, next_field, scan
 from istc_replay.ingest.wanted import Mapping, Node, check_found, missing, tree
 

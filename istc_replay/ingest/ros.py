@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import struct
 
-from istc_replay.ingest.columns import PayloadError
 from istc_replay.ingest.definition import PLAIN, Member, Types
 from istc_replay.ingest.layout import Decoder, Layout, Leaf
+from istc_replay.ingest.payload import PayloadError
 from istc_replay.ingest.wanted import Mapping, Node, check_found, missing, tree
 
 #: Parts of one payload, and levels of types in types, that are parsed.

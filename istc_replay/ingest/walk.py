@@ -52,6 +52,7 @@ _HELD_RECORDS = 10_000
 #: Messages outside of chunks that make one batch [records, bytes].
 _BATCH_RECORDS = 16_384
 _BATCH_BYTES = 16 * 2**20
+_COLUMNS = ("channel", "sequence", "log_time", "publish_time")
 _SKIPPED = frozenset(Opcode) - {Opcode.FOOTER}
 
 Wanted = Callable[[Channel], bool]
@@ -367,8 +368,8 @@ class LogFile:
         if len(head):
             starts = positions + RECORD.size + MESSAGE.size
             ends = positions + RECORD.size + lengths.astype(np.int64)
-            columns = (head[name] for name in ("channel", "sequence", "log_time", "publish_time"))
-            yield Batch(buffer, channels, *map(np.ascontiguousarray, columns), starts, ends, offsets)
+            ids, sequences, log_ns, publish_ns = (head[name] for name in _COLUMNS)
+            yield Batch(buffer, channels, ids, sequences, log_ns, publish_ns, starts, ends, offsets)
 
     def _span(self, log_times_ns: NDArray[np.uint64]) -> None:
         known = log_times_ns[log_times_ns < 2**63]

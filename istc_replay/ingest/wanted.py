@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from istc_replay.ingest.columns import PayloadError
+from istc_replay.ingest.payload import PayloadError
 
 
 @dataclass(frozen=True, slots=True)

@@ -19,6 +19,7 @@ from istc_replay.states import STATES_SCHEMA
 
 T0_NS = 1_700_000_000_000_000_000
 STEP_NS = 100_000_000
+LATER_NS = T0_NS + 2 * 10**9
 FLOATS = [name for name, dtype in STATES_SCHEMA.items() if dtype == pl.Float64()]
 
 
@@ -53,20 +54,20 @@ def test_states_are_read_as_written(
         topic("/b", [(T0_NS + 5, vehicle_state(T0_NS, "b", **values))]),
         topic(
             "/a",
-            [(T0_NS + 9, vehicle_state(T0_NS + 1, "a", x_m=1.0)), (T0_NS + 7, vehicle_state(T0_NS, "a"))],
+            [(LATER_NS + 9, vehicle_state(LATER_NS, "a", x_m=1.0)), (T0_NS + 7, vehicle_state(T0_NS, "a"))],
         ),
     )
     path = save(data)
     log = read_log(path)
     assert (log.path, log.sha256) == (str(path), hashlib.sha256(data).hexdigest())
-    assert (log.messages, log.chunks, log.start_ns, log.end_ns) == (3, 1, T0_NS + 5, T0_NS + 9)
+    assert (log.messages, log.chunks, log.start_ns, log.end_ns) == (3, 1, T0_NS + 5, LATER_NS + 9)
     assert log.complete
     assert log.problems == ()
     assert log.states.schema == STATES_SCHEMA
     rows = log.states.to_dicts()
     assert [(row["vehicle_id"], row["time_ns"], row["message_index"]) for row in rows] == [
         ("a", T0_NS, 0),
-        ("a", T0_NS + 1, 1),
+        ("a", LATER_NS, 1),
         ("b", T0_NS, 0),
     ]
     assert {key: rows[2][key] for key in values} == values
@@ -154,8 +155,10 @@ def test_a_missing_speed_is_derived_and_marked(
     # Central differences of 0.1 k^2 along -x, one-sided at the start; a step above 1 s gives none.
     assert table["speed_mps"][:5].to_list() == pytest.approx([1.0, 2.0, 4.0, 6.0, 9.0])
     assert table["speed_mps"][5:].to_list() == [None, None]
-    assert table["derived"].to_list() == [2, 2, 2, 2, 0, 0, 0]
-    assert table["acceleration_mps2"].null_count() == 7
+    # The acceleration is the same difference of the speeds, where the speeds on both sides are known.
+    assert table["acceleration_mps2"][:4].to_list() == pytest.approx([10.0, 15.0, 20.0, 25.0])
+    assert table["acceleration_mps2"][4:].null_count() == 3
+    assert table["derived"].to_list() == [6, 6, 6, 6, 0, 0, 0]
 
 
 def test_planned_states_of_a_result_are_not_recorded_ones(

@@ -13,7 +13,7 @@ from mcap_ros2._dynamic import serialize_dynamic
 
 from istc_replay.config import parse_config
 from istc_replay.ingest.log import read_log
-from istc_replay.ingest.odometry import vehicle_of
+from istc_replay.ingest.meaning import vehicle_of
 
 T0_NS = 1_700_000_000_000_000_000
 DEFINITION = """
@@ -174,11 +174,28 @@ def test_several_frames_are_told(odometry: Any, write_log: Any, save: Any) -> No
     assert [problem.code for problem in log.problems] == ["frames_differ"]
 
 
-def test_another_layout_under_the_same_name_is_not_misread(odometry: Any, write_log: Any, save: Any) -> None:
+def test_a_message_is_read_by_the_definition_in_the_file(odometry: Any, write_log: Any, save: Any) -> None:
     other = DEFINITION.replace("int32 sec", "uint32 seq\nint32 sec").encode()
-    log = read_log(save(write_log(odometry(schema_data=other))), BOX)
+    with_seq = odometry(schema_data=other)
+    data = with_seq.messages[0][1]
+    with_seq.messages[0] = (T0_NS, data[:4] + struct.pack("<I", 7) + data[4:40] + data[44:])
+    row = read_log(save(write_log(with_seq)), BOX).states.to_dicts()[0]
+    assert (row["time_ns"], row["x_m"], row["speed_mps"]) == (12_000_000_345, 10.0, -3.0)
+
+
+@pytest.mark.parametrize(
+    "text", [b"float64 x\n", b"what is this\n", DEFINITION[:-400].encode(), bytes(2**19)]
+)
+def test_a_definition_that_lacks_what_is_needed_is_a_problem(
+    text: bytes, odometry: Any, write_log: Any, save: Any
+) -> None:
+    log = read_log(save(write_log(odometry(schema_data=text))), BOX)
     assert (log.states.height, log.channels[0].understood_as) == (0, None)
     assert [problem.code for problem in log.problems] == ["schema"]
+    assert log.channels[0].reason
+
+
+def test_a_missing_definition_is_the_known_one(odometry: Any, write_log: Any, save: Any) -> None:
     assert read_log(save(write_log(odometry(schema_data=b""))), BOX).states.height == 1
 
 

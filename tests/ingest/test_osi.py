@@ -11,9 +11,9 @@ import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 
 from istc_replay.config import parse_config
-from istc_replay.ingest.columns import PayloadError
 from istc_replay.ingest.log import read_log
 from istc_replay.ingest.osi import message_type
+from istc_replay.ingest.payload import PayloadError
 from istc_replay.ingest.records import Schema
 from istc_replay.ingest.walk import open_log
 
@@ -218,5 +218,5 @@ def test_a_foreign_message_of_the_same_name_is_a_problem(write_log: Any, topic: 
     kind.field.add(name="moving_object", number=5, type=5, label=1)
     made = topic("osi", [(T0_NS, b"\x28\x01")], "osi3.GroundTruth", schema_data=foreign.SerializeToString())
     log = read_log(save(write_log(made)))
-    assert log.states.height == 0
-    assert [problem.code for problem in log.problems] == ["payload"]
+    assert (log.states.height, log.channels[0].understood_as) == (0, None)
+    assert [problem.code for problem in log.problems] == ["schema"]
