@@ -47,6 +47,10 @@ class Body:
         """Whether it is driven: the checks of single vehicles apply."""
         return self.role == "vehicle"
 
+    def fastest_mps(self) -> float:
+        """Its largest speed, 0 where none is known."""
+        return self.track.fastest_mps(int(self.track.times_ns[0]), int(self.track.times_ns[-1]))
+
     def origin(self, time_ns: int) -> tuple[str, int]:
         """Topic and message index of the sample at or before a time."""
         row = max(int(np.searchsorted(self.track.times_ns, time_ns, side="right")) - 1, 0)

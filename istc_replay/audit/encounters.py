@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from istc_replay.audit.bodies import Body
+from istc_replay.audit.boxes import box_gap
 from istc_replay.audit.findings import Finding, judged_values
 from istc_replay.audit.pair_samples import Encroachments, Pairs
-from istc_replay.audit.relation import CONFLICT_TYPES
+from istc_replay.audit.relation import CONFLICT_TYPES, conflict_angle, conflict_type, delta_v
 from istc_replay.audit.rules import SEVERITIES
 from istc_replay.audit_config import AuditConfig
 from istc_replay.datatypes import FloatArray, Verdict
 from istc_replay.units import NS_PER_S
+
+IntArray = NDArray[np.int64]
 
 
 @dataclass(frozen=True, slots=True)
@@ -54,30 +59,27 @@ def encounter_rows(
     pairs: Pairs,
     left: Encroachments,
     bodies: list[Body],
-    period_ns: float,
+    times_ns: IntArray,
     audit: AuditConfig,
 ) -> list[dict[str, object]]:
-    """Rows of ENCOUNTERS_SCHEMA."""
+    """Rows of ENCOUNTERS_SCHEMA; `times_ns` are the common times."""
     measures = {
         rule: judged_values(pairs, rule, audit)
         for rule in ("ttc", "drac", "required_deceleration", "thw", "rss")
     }
-    edges = np.searchsorted(pairs.key, [_key(group) for group in groups])
-    ends = np.searchsorted(pairs.key, [_key(group) for group in groups], side="right")
+    period_s = float(np.median(np.diff(times_ns))) / NS_PER_S if times_ns.size > 1 else 0.0
+    keys = [group.bodies[0] * (1 << 32) + group.bodies[1] for group in groups]
+    starts, ends = (np.searchsorted(pairs.key, keys, side=side) for side in ("left", "right"))
     rows = []
-    for group, start, end in zip(groups, edges.tolist(), ends.tolist(), strict=True):
-        times = pairs.time_ns[start:end]
+    for group, start, end in zip(groups, starts.tolist(), ends.tolist(), strict=True):
+        own = pairs.time_ns[start:end]
         inside = slice(
-            start + int(np.searchsorted(times, group.start_ns)),
-            start + int(np.searchsorted(times, group.end_ns, side="right")),
+            start + int(np.searchsorted(own, group.start_ns)),
+            start + int(np.searchsorted(own, group.end_ns, side="right")),
         )
         worst = group.worst()
         severity = max((_rank(finding) for finding in group.findings), default=-1)
-        at = (
-            inside.start + int(np.argmin(np.abs(pairs.time_ns[inside] - worst.worst_ns)))
-            if inside.stop > inside.start
-            else -1
-        )
+        met = _encroachment(group, left, period_s)
         rows.append(
             {
                 "encounter_id": group.identity(bodies),
@@ -90,28 +92,18 @@ def encounter_rows(
                 "end_ns": group.end_ns,
                 "x_m": worst.x_m,
                 "y_m": worst.y_m,
-                **_extremes(pairs, measures, inside),
-                **_exposure(pairs, measures["ttc"], inside, period_ns, audit),
-                **_at_worst(pairs, at, audit),
-                **_encroachment(group, left, period_ns),
+                "least_ttc_s": _extreme(measures["ttc"][inside], -1),
+                "most_drac_mps2": _extreme(measures["drac"][inside], 1),
+                "most_required_mps2": _extreme(measures["required_deceleration"][inside], 1),
+                "least_thw_s": _extreme(measures["thw"][inside], -1),
+                "least_rss_margin_m": _extreme(measures["rss"][inside], -1),
+                **_exposure(pairs.time_ns[inside], measures["ttc"][inside], period_s, audit),
+                **_meeting(group, met.pop("angle_rad", None), bodies, times_ns, audit),
+                **met,
                 "rules": sorted({finding.rule for finding in group.findings}),
             }
         )
     return rows
-
-
-def _extremes(pairs: Pairs, measures: dict[str, FloatArray], inside: slice) -> dict[str, object]:
-    gap = pairs["gap_m"][inside]
-    least = int(np.nanargmin(gap)) if np.isfinite(gap).any() else -1
-    return {
-        "least_gap_m": float(gap[least]) if least >= 0 else None,
-        "least_gap_ns": int(pairs.time_ns[inside][least]) if least >= 0 else None,
-        "least_ttc_s": _extreme(measures["ttc"][inside], -1),
-        "most_drac_mps2": _extreme(measures["drac"][inside], 1),
-        "most_required_mps2": _extreme(measures["required_deceleration"][inside], 1),
-        "least_thw_s": _extreme(measures["thw"][inside], -1),
-        "least_rss_margin_m": _extreme(measures["rss"][inside], -1),
-    }
 
 
 def _extreme(values: FloatArray, sign: int) -> float | None:
@@ -121,28 +113,41 @@ def _extreme(values: FloatArray, sign: int) -> float | None:
     return float(values.max() if sign > 0 else values.min())
 
 
-def _exposure(
-    pairs: Pairs, ttc: FloatArray, inside: slice, period_ns: float, audit: AuditConfig
-) -> dict[str, object]:
+def _exposure(times_ns: IntArray, ttc: FloatArray, period_s: float, audit: AuditConfig) -> dict[str, object]:
     """TET and TIT (Minderhoud and Bovy): each sample stands for the step to the next."""
-    times = pairs.time_ns[inside]
-    step = np.minimum(np.diff(times, append=times[-1:] + int(period_ns)), period_ns) / NS_PER_S
-    short = ttc[inside] < audit.exposure_ttc_s
-    lacking = np.where(short, audit.exposure_ttc_s - ttc[inside], 0.0)
+    step = np.minimum(np.diff(times_ns) / NS_PER_S, period_s)
+    step = np.append(step, period_s) if times_ns.size else step
+    short = ttc < audit.exposure_ttc_s
+    lacking = np.where(short, audit.exposure_ttc_s - ttc, 0.0)
     return {"tet_s": float(step[short].sum()), "tit_s2": float((lacking * step).sum())}
 
 
-def _at_worst(pairs: Pairs, row: int, audit: AuditConfig) -> dict[str, object]:
-    if row < 0:
+def _meeting(
+    group: Group, met_rad: float | None, bodies: list[Body], times_ns: IntArray, audit: AuditConfig
+) -> dict[str, object]:
+    """The least gap, and how the two met when it was worst."""
+    times = times_ns[(times_ns >= group.start_ns) & (times_ns <= group.end_ns)]
+    boxes, courses, velocities = [], [], []
+    for row in group.bodies:
+        box, speed = bodies[row].boxes(times)
+        boxes.append(box)
+        courses.append(box[:, 2] + np.where(speed < 0.0, np.pi, 0.0))
+        velocities.append(np.stack([np.cos(box[:, 2]), np.sin(box[:, 2])], axis=-1) * speed[:, None])
+    gap = box_gap(boxes[0], boxes[1])
+    if not np.isfinite(gap).any():
         return {}
-    changes = [float(pairs[f"delta_v_{which}_mps"][row]) for which in ("first", "second")]
-    kind, most = int(pairs["conflict_type"][row]), max(changes)
+    least = int(np.nanargmin(gap))
+    worst = int(np.nanargmin(np.where(np.isfinite(gap), np.abs(times - group.worst().worst_ns), np.inf)))
+    at = slice(worst, worst + 1)
+    changes = [float(v[0]) for v in delta_v(boxes[0][at], boxes[1][at], (velocities[1] - velocities[0])[at])]
+    angle = conflict_angle(courses[0][at], courses[1][at]) if met_rad is None else np.array([met_rad])
+    kind = int(conflict_type(angle, (audit.rear_end_rad, audit.crossing_rad, audit.head_on_rad))[0])
     consequence = None
-    if most >= audit.delta_v_critical_mps:
-        consequence = "critical"
-    elif most >= audit.delta_v_serious_mps:
-        consequence = "serious"
+    if max(changes) >= audit.delta_v_serious_mps:
+        consequence = "critical" if max(changes) >= audit.delta_v_critical_mps else "serious"
     return {
+        "least_gap_m": float(gap[least]),
+        "least_gap_ns": int(times[least]),
         "conflict_type": CONFLICT_TYPES[kind] if kind >= 0 else None,
         "delta_v_first_mps": changes[0],
         "delta_v_second_mps": changes[1],
@@ -150,7 +155,7 @@ def _at_worst(pairs: Pairs, row: int, audit: AuditConfig) -> dict[str, object]:
     }
 
 
-def _encroachment(group: Group, left: Encroachments, period_ns: float) -> dict[str, object]:
+def _encroachment(group: Group, left: Encroachments, period_s: float) -> dict[str, Any]:
     """The least post-encroachment time of the pair, and that of the event: at the last place left."""
     one, two = group.bodies
     ours = ((left.first == one) & (left.second == two)) | ((left.first == two) & (left.second == one))
@@ -163,15 +168,14 @@ def _encroachment(group: Group, left: Encroachments, period_ns: float) -> dict[s
     least = int(np.argmin(seconds))
     same = np.flatnonzero(sign == sign[least])
     last = int(same[np.argmax(left.earlier_ns[rows][same])])
-    return {
+    found = {
         "least_pet_s": float(sign[least] * seconds[least]),
         "event_pet_s": float(sign[last] * seconds[last]),
-        "pet_resolution_s": period_ns / NS_PER_S,
+        "pet_resolution_s": period_s,
     }
-
-
-def _key(group: Group) -> int:
-    return group.bodies[0] * (1 << 32) + group.bodies[1]
+    if group.worst().rule == "pet":
+        found["angle_rad"] = float(left.angle_rad[rows[least]])
+    return found
 
 
 def _rank(finding: Finding) -> int:

@@ -11,6 +11,8 @@ from istc_replay.datatypes import FloatArray
 
 IntArray = NDArray[np.int64]
 
+_ROUNDING = 1e-9
+
 
 @dataclass(frozen=True, slots=True)
 class Event:
@@ -74,7 +76,11 @@ def find_events(
         if level < 0:
             continue
         first = start + int(np.argmax(run >= levels[0]))
-        worst = start + int(np.argmax(run))
+        # Of samples that are as bad but for rounding the first, however the world is turned.
+        most = float(run.max())
+        worst = start + int(
+            np.argmax(run >= most - _ROUNDING * abs(most) if np.isfinite(most) else run == most)
+        )
         events.append(Event(int(held[first]), int(held[worst]), int(held[end - 1]), level))
     return events
 

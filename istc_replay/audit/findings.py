@@ -104,7 +104,9 @@ def judged_values(pairs: Pairs, rule: str, audit: AuditConfig) -> FloatArray:
     # What overlaps at once is a finding of the gap; what would graze may as well pass.
     real = moving & relative & (pairs["gap_m"] > 0.0) & (pairs["silhouette_m"] > audit.grazing_m)
     if rule == "required_deceleration":
-        return np.where(real, np.fmin(pairs["required_first_mps2"], pairs["required_second_mps2"]), np.nan)
+        # Where neither vehicle can brake its way out, other measures tell how near contact is.
+        needed = np.fmin(pairs["required_first_mps2"], pairs["required_second_mps2"])
+        return np.where(real & np.isfinite(needed), needed, np.nan)
     return np.where(real, pairs[{"ttc": "ttc_s", "drac": "drac_mps2"}[rule]], np.nan)
 
 
@@ -144,8 +146,6 @@ def encroachment_findings(
     found = []
     for event in events:
         who = (int(left.first[event.start]), int(left.second[event.start]))
-        if seconds[event.worst] == 0.0 and who[0] > who[1]:
-            continue  # contact is found both ways round
         times = (
             int(left.earlier_ns[event.start]),
             int(left.later_ns[event.worst]),

@@ -38,6 +38,9 @@ from istc_replay.units import NS_PER_S
 
 IntArray = NDArray[np.int64]
 
+#: Rules that say nothing of vehicles that stand.
+_OF_MOVING = ("curvature", "steering_rate", "side_slip")
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Audit:
@@ -92,7 +95,7 @@ def audit_log(log: Log, config: Config) -> Audit:
     of_pairs += encroachment_findings(left, bodies, spans, period_ns, audit)
     of_vehicles = vehicle_findings(bodies, motions, spans, audit)
     groups = group_findings(of_pairs, audit)
-    encounters = encounter_rows(groups, pairs, left, bodies, period_ns, audit)
+    encounters = encounter_rows(groups, pairs, left, bodies, times, audit)
     names = {id(finding): group.identity(bodies) for group in groups for finding in group.findings}
     findings = [*issue_findings(issues, bodies), *of_pairs, *of_vehicles]
     doubtful = [
@@ -168,7 +171,8 @@ def _coverage(
         for rule in VEHICLE_RULES:
             values = vehicle_values(rule, body, motion, audit) if body.is_vehicle else None
             judged[rule.name] = np.zeros(times.size, dtype=bool) if values is None else np.isfinite(values)
-            if values is not None and rule.thresholds(audit):
+            too_slow = rule.name in _OF_MOVING and body.fastest_mps() <= audit.heading_speed_mps
+            if values is not None and rule.thresholds(audit) and not too_slow:
                 applicable.add(rule.name)
         for name, flags in judged.items():
             found = verdicts.get((row, name), set())

@@ -61,6 +61,7 @@ class Encroachments:
     second: IntArray
     earlier_ns: IntArray
     later_ns: IntArray
+    angle_rad: FloatArray
     x_m: FloatArray
     y_m: FloatArray
 
@@ -252,6 +253,7 @@ def _chunk_encroachments(
         "second": names[second],
         "earlier_ns": times_ns[earlier],
         "later_ns": times_ns[later],
+        "angle_rad": conflict_angle(boxes[earlier, first, 2], boxes[later, second, 2]),
         "x_m": place[:, 0],
         "y_m": place[:, 1],
     }
@@ -264,12 +266,11 @@ def _pairs(chunks: list[dict[str, NDArray[np.generic]]]) -> Pairs:
 
 
 def _encroachments(chunks: list[dict[str, NDArray[np.generic]]]) -> Encroachments:
-    names = ("first", "second", "earlier_ns", "later_ns")
-    columns = _joined(chunks, names, (*names, "x_m", "y_m"))
-    whole = {name: columns[name].astype(np.int64) for name in names}
-    return Encroachments(
-        **whole, x_m=columns["x_m"].astype(np.float64), y_m=columns["y_m"].astype(np.float64)
-    )
+    order = ("first", "second", "earlier_ns", "later_ns")
+    columns = _joined(chunks, order, (*order, "angle_rad", "x_m", "y_m"))
+    whole = [columns[name].astype(np.int64) for name in order]
+    rest = [columns[name].astype(np.float64) for name in ("angle_rad", "x_m", "y_m")]
+    return Encroachments(whole[0], whole[1], whole[2], whole[3], rest[0], rest[1], rest[2])
 
 
 def _joined(

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from istc_replay.audit.bodies import Body
@@ -24,8 +24,6 @@ _AROUND_NS = NS_PER_S // 2
 _SPEED_RATIOS = (0.5, 2.0)
 #: Two bodies exchanged their names where each jumps to within this of where the other was going [m].
 _EXCHANGED_M = 2.0
-#: Steps whose median is the usual pace.
-_PACES = 7
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +49,7 @@ class Issue:
 def body_issues(bodies: list[Body], motions: list[Motion], audit: AuditConfig) -> list[Issue]:
     """Gaps, teleports, exchanged names, contradicting headings, frozen poses, implausible units."""
     issues: list[Issue] = []
-    jumps = [_jumps(body, audit) for body in bodies]
+    jumps = [motion.jumps for motion in motions]
     for row, (body, motion) in enumerate(zip(bodies, motions, strict=True)):
         issues += _gaps(row, body, audit)
         issues += _teleports(row, bodies, jumps, audit)
@@ -90,7 +88,7 @@ def overlap_issues(pairs: Pairs, bodies: list[Body], times_ns: IntArray) -> list
     """Boxes that overlap at the first common time of a pair: recorded so, not collided."""
     issues = []
     fresh = np.flatnonzero(np.diff(pairs.key, prepend=-1) != 0)
-    for start, end in zip(fresh.tolist(), [*fresh[1:].tolist(), pairs.key.size], strict=True):
+    for start, end in pairwise([*fresh.tolist(), pairs.key.size]):
         i, j = int(pairs.first[start]), int(pairs.second[start])
         joint = max(int(bodies[row].track.times_ns[0]) for row in (i, j))
         gap, bound = pairs["gap_m"][start:end], pairs["gap_bound_m"][start]
@@ -157,24 +155,6 @@ def _gaps(row: int, body: Body, audit: AuditConfig) -> list[Issue]:
     return issues
 
 
-def _jumps(body: Body, audit: AuditConfig) -> IntArray:
-    """Samples before which a body moved further than it could have."""
-    track = body.track
-    if track.times_ns.size < 2:
-        return np.empty(0, dtype=np.int64)
-    step = np.diff(track.times_ns) / NS_PER_S
-    moved = np.hypot(*np.diff(track.states[:, :2], axis=0).T)
-    if body.speed_derived:
-        # A speed derived from positions has the jump in it; the usual pace about it has not.
-        paces = sliding_window_view(np.pad(moved / step, _PACES // 2, mode="edge"), _PACES)
-        speed = np.median(paces, axis=1)
-    else:
-        speed = np.fmax(np.abs(track.states[:-1, 3]), np.abs(track.states[1:, 3]))
-    speed = np.where(np.isfinite(speed), speed, np.inf)
-    able = speed * step + audit.acceleration_bound_mps2 * step**2 / 2.0 + 3.0 * audit.position_sigma_m
-    return np.asarray(np.flatnonzero(moved > able) + 1)
-
-
 def _teleports(row: int, bodies: list[Body], jumps: list[IntArray], audit: AuditConfig) -> list[Issue]:
     track, issues = bodies[row].track, []
     for k in jumps[row].tolist():
@@ -233,7 +213,9 @@ def _continues(left: Track, m: int, taken: Track, k: int) -> bool:
 def _headings(row: int, body: Body, motion: Motion, audit: AuditConfig) -> list[Issue]:
     forward = np.where(body.track.states[:, 3] < 0.0, np.pi, 0.0)
     with np.errstate(invalid="ignore"):
-        off = np.abs(wrap_angle(motion.course_rad - body.track.states[:, 2] - forward))
+        raw = np.abs(wrap_angle(motion.course_rad - body.track.states[:, 2] - forward))
+        # In a tight bend the centre's course is ahead of the heading: that is no contradiction.
+        off = np.fmin(raw, np.abs(motion.side_slip_rad))
         wrong = (off > audit.heading_course_rad) & (motion.travel_mps > audit.heading_speed_mps)
     issues = []
     for start, end in _runs(wrong, audit.frozen_samples):

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import polars as pl
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from istc_replay.audit.bodies import Body
@@ -17,18 +18,22 @@ from istc_replay.units import NS_PER_S, wrap_angle
 
 #: A curvature is not told of vehicles slower than this [m/s].
 _TURNING_MPS = 1.0
+#: Steps whose median is the usual pace.
+_PACES = 7
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Motion:
     """A body's smoothed motion at its samples, (S,) each; NaN is not judged.
 
+    `jumps` are the samples before which it moved further than it could have: no fit crosses them.
     `course_rad` and `travel_mps` are those of the positions alone; `steering_rad` is what a
     bicycle needs for the curvature yaw rate / v, `side_slip_rad` the course against the heading
     less what a rolling rear axle gives the box centre.
     """
 
     window: int
+    jumps: NDArray[np.int64]
     acceleration_mps2: FloatArray
     lateral_mps2: FloatArray
     jerk_mps3: FloatArray
@@ -41,14 +46,16 @@ class Motion:
 
 
 def smoothed_motion(body: Body, audit: AuditConfig) -> Motion:
-    """Smooth a body's recorded motion, never across gaps.
+    """Smooth a body's recorded motion, never across gaps or jumps.
 
     Acceleration and jerk are derivatives of the recorded speed, the yaw rate of the heading; the
     course is that of the smoothed positions.
     """
     track = body.track
     longest = audit.gap_periods * track.period_ns
+    jumped = jumps(body, audit)
     pieces = pieces_of(track.times_ns, longest)
+    pieces = pieces + np.cumsum(np.bincount(jumped, minlength=pieces.size))
     times = (track.times_ns - track.times_ns[0]) / NS_PER_S
     window = fit_samples(track.period_ns / NS_PER_S, audit)
     x, y, heading, speed = track.states.T
@@ -72,6 +79,7 @@ def smoothed_motion(body: Body, audit: AuditConfig) -> Motion:
         )
     return Motion(
         window=window,
+        jumps=jumped,
         acceleration_mps2=acceleration,
         lateral_mps2=even * yaw_rate,
         jerk_mps3=jerk,
@@ -82,6 +90,26 @@ def smoothed_motion(body: Body, audit: AuditConfig) -> Motion:
         course_rad=course,
         travel_mps=travel,
     )
+
+
+def jumps(body: Body, audit: AuditConfig) -> NDArray[np.int64]:
+    """Samples before which a body moved further than it could have."""
+    track = body.track
+    if track.times_ns.size < 2:
+        return np.empty(0, dtype=np.int64)
+    step = np.diff(track.times_ns) / NS_PER_S
+    moved = np.hypot(*np.diff(track.states[:, :2], axis=0).T)
+    if body.speed_derived:
+        # A speed derived from positions has the jump in it; the usual pace about it has not.
+        paces = sliding_window_view(np.pad(moved / step, _PACES // 2, mode="edge"), _PACES)
+        speed = np.median(paces, axis=1)
+    else:
+        speed = np.fmax(np.abs(track.states[:-1, 3]), np.abs(track.states[1:, 3]))
+    speed = np.where(np.isfinite(speed), speed, np.inf)
+    able = speed * step + audit.acceleration_bound_mps2 * step**2 / 2.0 + 3.0 * audit.position_sigma_m
+    found = np.flatnonzero(moved > able) + 1
+    # Who jumps at most steps is told in other units than its speed.
+    return np.asarray(found if found.size < moved.size / 2 else found[:0])
 
 
 def fit_samples(period_s: float, audit: AuditConfig) -> int:

@@ -12,7 +12,7 @@ import polars as pl
 import pytest
 from numpy.typing import NDArray
 
-from istc_replay.datatypes import Frame, MapBounds, Result, StaticScene
+from istc_replay.datatypes import Frame, Log, MapBounds, Result, StaticScene
 from istc_replay.geometry import to_map
 from istc_replay.states import (
     CERTIFICATES_SCHEMA,
@@ -20,6 +20,7 @@ from istc_replay.states import (
     OBSTACLES_SCHEMA,
     RESULT_STATES_SCHEMA,
     SOLVES_SCHEMA,
+    STATES_SCHEMA,
     conform,
 )
 
@@ -287,3 +288,47 @@ def kit() -> SimpleNamespace:
     return SimpleNamespace(
         Scene=Scene, Car=Car, random_car=random_car, straight_car=straight_car, stacked=stacked, dense=DENSE
     )
+
+
+#: Start of the logs of `make_log`.
+LOG_START_NS = 1_700_000_000 * NS
+
+
+def recorded(name: str, time_s: Array, **columns: Any) -> pl.DataFrame:
+    """States of one vehicle at times from the log's start; columns broadcast to the times."""
+    times = np.round(np.asarray(time_s) * NS).astype(np.int64) + LOG_START_NS
+    size = times.size
+    values = {
+        "vehicle_id": name,
+        "time_ns": times,
+        "log_time_ns": times,
+        "publish_time_ns": times,
+        "y_m": 0.0,
+        "heading_rad": 0.0,
+        "length_m": 4.5,
+        "width_m": 1.9,
+        "role": "vehicle",
+        "topic": f"/{name}",
+        "message_index": np.arange(size),
+        "derived": 0,
+    } | columns
+    wide = {key: np.broadcast_to(np.asarray(value), (size,)) for key, value in values.items()}
+    return conform(pl.DataFrame(wide), STATES_SCHEMA)
+
+
+def log_of(*parts: pl.DataFrame) -> Log:
+    """A log of recorded states."""
+    states = pl.concat(parts).sort("vehicle_id", "time_ns", maintain_order=True)
+    start, end = (
+        int(value) for value in states.select(pl.min("time_ns"), pl.max("time_ns").alias("end")).row(0)
+    )
+    return Log(
+        path="made.mcap", sha256="0" * 64, complete=True, messages=states.height, attachments=0, metadata=0,
+        chunks=0, start_ns=start, end_ns=end, channels=(), states=states, scene=StaticScene(), problems=(),
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="session")
+def logs() -> SimpleNamespace:
+    """Builders of logs: `recorded(name, time_s, **columns)` and `log_of(*parts)`."""
+    return SimpleNamespace(recorded=recorded, log_of=log_of, start_ns=LOG_START_NS)

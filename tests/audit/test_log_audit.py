@@ -1,0 +1,339 @@
+"""The audit of whole logs: nothing wrong gives nothing, and what is planted is found, alone."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+from numpy.typing import NDArray
+
+from istc_replay.audit.log_audit import Audit, audit_log
+from istc_replay.config import Config, parse_config
+from istc_replay.datatypes import Log, Verdict
+from istc_replay.ingest.log import read_log
+from istc_replay.states import (
+    COVERAGE_SCHEMA,
+    ENCOUNTERS_SCHEMA,
+    FINDINGS_SCHEMA,
+    PAIR_SAMPLES_SCHEMA,
+    VEHICLE_SAMPLES_SCHEMA,
+)
+
+Array = NDArray[np.float64]
+NS = 1_000_000_000
+T = np.arange(0, 12.01, 0.1)
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def drive(speed: Array | float, start: float = 0.0, t: Array = T) -> tuple[Array, Array]:
+    """Positions and speeds of a drive along a line at a speed over time."""
+    speeds = np.broadcast_to(np.asarray(speed, dtype=float), t.shape)
+    way = np.concatenate([[0.0], np.cumsum((speeds[1:] + speeds[:-1]) / 2 * np.diff(t))])
+    return start + way, speeds.copy()
+
+
+def east(logs: SimpleNamespace, name: str, speed: Array | float, start: float, **other: Any) -> pl.DataFrame:
+    x, v = drive(speed, start)
+    return logs.recorded(name, T, x_m=x, speed_mps=v, **other)
+
+
+def north(logs: SimpleNamespace, name: str, speed: Array | float, start: float, **other: Any) -> pl.DataFrame:
+    y, v = drive(speed, start)
+    return logs.recorded(
+        name, T, **({"x_m": 0.0, "y_m": y, "speed_mps": v, "heading_rad": np.pi / 2} | other)
+    )
+
+
+AHEAD = 4.5 * 0.675 / 2  # from the rear axle to the centre
+
+
+def bend(logs: SimpleNamespace, name: str, radius: float, speed: float) -> pl.DataFrame:
+    """A circle as a bicycle drives it: the box centre's course is ahead of the heading."""
+    angle, slip = speed * T / radius, np.arcsin(AHEAD / radius)
+    return logs.recorded(
+        name,
+        T,
+        x_m=300 + radius * np.sin(angle),
+        y_m=radius * (1 - np.cos(angle)),
+        heading_rad=np.mod(angle - slip + np.pi, 2 * np.pi) - np.pi,
+        speed_mps=speed * np.cos(slip),
+    )
+
+
+def calm(logs: SimpleNamespace) -> list[pl.DataFrame]:
+    """Traffic with nothing wrong: lanes, a queue, parked cars that nearly touch, a bend, a pedestrian."""
+    braking = np.clip(12.0 - 2.0 * (T - 3.0), 0.0, 12.0)
+    parts = [
+        east(logs, "leader", 15.0, 0.0),
+        east(logs, "follower", 15.0, -60.0),
+        east(logs, "oncoming", -15.0, 150.0, y_m=3.5),
+        east(logs, "stopping", braking, -100.0, y_m=-20.0),
+        logs.recorded("standing", T, x_m=0.0, y_m=-20.0, speed_mps=0.0),
+        bend(logs, "bending", 40.0, 8.0),
+        logs.recorded(
+            "walker", T, x_m=T, y_m=30.0, speed_mps=1.0, length_m=0.5, width_m=0.5, role="pedestrian"
+        ),
+    ]
+    parts += [logs.recorded(f"parked{k}", T, x_m=60 + 4.55 * k, y_m=40.0, speed_mps=0.0) for k in range(4)]
+    # A queue that creeps, with jitter in its speeds.
+    rng = np.random.default_rng(7)
+    for k in range(4):
+        x, v = drive(1.5 + 0.03 * rng.normal(size=T.size), -6.0 * k)
+        parts.append(logs.recorded(f"queue{k}", T, x_m=x, y_m=60.0, speed_mps=v))
+    return parts
+
+
+def findings(audit: Audit) -> list[tuple[str, str | None, list[str]]]:
+    return audit.findings.select("rule", "severity", "vehicles").rows()
+
+
+def test_a_log_with_nothing_wrong_has_no_finding(logs: SimpleNamespace) -> None:
+    audit = audit_log(logs.log_of(*calm(logs)), Config())
+    assert findings(audit) == []
+    assert audit.encounters.is_empty()
+    assert audit.verdict == Verdict.PASS
+    assert audit.pair_samples.height > 900
+    assert set(audit.coverage["verdict"]) == {"pass", "not_applicable"}
+
+
+def near_miss(logs: SimpleNamespace) -> list[pl.DataFrame]:
+    """Two that cross: one passes 0.6 s before the other, both unbraked at 10 m/s."""
+    # Each blocks the crossing for (4.5 + 1.9) / 10 s around its middle.
+    return [
+        logs.recorded("ann", T, x_m=10 * T - 660, y_m=100.0, speed_mps=10.0),
+        north(logs, "bob", 10.0, 100 - 60 - 12.4, x_m=-600.0),
+    ]
+
+
+def test_a_planted_near_miss_is_found_and_nothing_else(logs: SimpleNamespace) -> None:
+    log = logs.log_of(*calm(logs), *near_miss(logs))
+    audit = audit_log(log, Config())
+    assert audit.verdict == Verdict.FAIL
+    assert audit.encounters.height == 1
+    row = audit.encounters.row(0, named=True)
+    assert (row["first"], row["second"], row["conflict_type"]) == ("ann", "bob", "crossing")
+    assert row["verdict"] == "fail"
+    assert row["least_pet_s"] == pytest.approx(0.6, abs=0.1001)
+    assert row["event_pet_s"] == pytest.approx(0.6, abs=0.1001)
+    assert {tuple(who) for _, _, who in findings(audit)} == {("ann", "bob")}
+    assert set(audit.findings["rule"]) == {"pet"}
+    assert set(audit.findings["severity"]) == {"critical"}
+    found = audit.findings.row(0, named=True)
+    assert found["threshold_source"] == "Varhelyi"
+    assert found["encounter_id"] == row["encounter_id"]
+    assert (found["topic"], found["message_index"]) == (
+        "/ann",
+        (found["worst_ns"] - log.start_ns) // (NS // 10),
+    )
+
+
+def test_a_crash_is_found_with_its_measures(logs: SimpleNamespace) -> None:
+    stopping = np.where(T < 6.3, 10.0, 0.0)
+    x, v = drive(stopping, -64.0)
+    log = logs.log_of(
+        logs.recorded("a", T, x_m=x, speed_mps=v),
+        logs.recorded("b", T, x_m=0.0, speed_mps=0.0),
+        *calm(logs)[7:9],
+    )
+    audit = audit_log(log, Config())
+    by_rule = {
+        row["rule"]: row for row in audit.findings.iter_rows(named=True) if row["vehicles"] == ["a", "b"]
+    }
+    assert by_rule["gap"]["severity"] == "critical"
+    assert by_rule["gap"]["detail"].startswith("collision")
+    assert by_rule["ttc"]["severity"] == "critical"
+    assert by_rule["drac"]["severity"] == "critical"
+    assert by_rule["required_deceleration"]["severity"] == "critical"
+    assert by_rule["ttc"]["start_ns"] - log.start_ns == pytest.approx((5.95 - 3.0) * NS, abs=0.11 * NS)
+    row = audit.encounters.row(0, named=True)
+    assert row["conflict_type"] == "rear_end"
+    assert row["delta_v_first_mps"] == pytest.approx(5.0)
+    # From 3 s before contact on: TIT is half of 3 squared.
+    assert row["tet_s"] == pytest.approx(3.0, abs=0.2)
+    assert row["tit_s2"] == pytest.approx(4.5, abs=0.35)
+
+
+def test_tailgating_and_danger_by_rss_are_found(logs: SimpleNamespace) -> None:
+    log = logs.log_of(east(logs, "a", 20.0, 0.0), east(logs, "b", 20.0, -4.5 - 14.0))
+    found = findings(audit_log(log, Config()))
+    assert found == [("rss", "minor", ["a", "b"]), ("thw", "serious", ["a", "b"])]
+
+
+def test_only_grazing_is_no_time_to_collision(logs: SimpleNamespace) -> None:
+    def passing(offset: float) -> list[tuple[str, str | None, list[str]]]:
+        log = logs.log_of(
+            logs.recorded("mover", T, x_m=10 * T - 60, y_m=offset, speed_mps=10.0),
+            logs.recorded("parked", T, x_m=0.0, speed_mps=0.0),
+        )
+        return [row for row in findings(audit_log(log, Config())) if row[0] not in ("rss", "thw")]
+
+    assert passing(2.5) == []  # 0.6 m beside
+    assert [rule for rule, _, _ in passing(2.3)] == ["gap"]  # 0.4 m
+    assert [rule for rule, _, _ in passing(1.85)] == ["gap"]  # 5 cm of overlap: grazing
+    assert {"ttc", "drac", "gap"} <= {rule for rule, _, _ in passing(1.5)}
+
+
+@pytest.mark.parametrize(
+    ("rule", "columns", "severity"),
+    [
+        ("braking", {"speed_mps": np.clip(20 - 5 * (T - 4), 0, 20)}, "serious"),
+        ("braking", {"speed_mps": np.clip(20 - 8 * (T - 4), 0, 20)}, "critical"),
+        ("jerk", {"speed_mps": 10 + 0.5 * np.sin(4 * T)}, "minor"),
+    ],
+)
+def test_single_vehicles_are_judged(
+    rule: str, columns: dict[str, Any], severity: str, logs: SimpleNamespace
+) -> None:
+    x, v = drive(columns["speed_mps"])
+    audit = audit_log(logs.log_of(logs.recorded("a", T, x_m=x, speed_mps=v)), Config())
+    assert (rule, severity, ["a"]) in findings(audit)
+
+
+def test_turning_is_judged_by_lateral_acceleration_yaw_rate_and_the_bicycle(logs: SimpleNamespace) -> None:
+    assert findings(audit_log(logs.log_of(bend(logs, "a", 40.0, 13.0)), Config())) == []
+    fast = audit_log(logs.log_of(bend(logs, "a", 40.0, 15.0)), Config())
+    assert findings(fast) == [("lateral_acceleration", "minor", ["a"])]
+    assert fast.findings["value"][0] == pytest.approx(15.0**2 / 40.0, rel=5e-3)
+    tight = audit_log(logs.log_of(bend(logs, "a", 2.5, 3.0)), Config())
+    assert {rule for rule, _, _ in findings(tight)} == {"curvature", "yaw_rate"}
+    steering = tight.vehicle_samples["steering_rad"].drop_nulls()
+    assert steering.mean() == pytest.approx(np.arctan(2 * AHEAD / np.sqrt(2.5**2 - AHEAD**2)), rel=1e-2)
+
+
+def test_speeds_are_judged_where_a_limit_is_given(logs: SimpleNamespace) -> None:
+    log = logs.log_of(east(logs, "a", 15.0, 0.0))
+    assert findings(audit_log(log, Config())) == []
+    limited = audit_log(log, parse_config("[audit]\nspeed_limit_mps = 13.9"))
+    assert findings(limited) == [("speed_limit", "minor", ["a"])]
+    assert limited.findings["value"][0] == pytest.approx(1.1)
+
+
+def test_thresholds_are_those_of_the_configuration_and_say_so(logs: SimpleNamespace) -> None:
+    log = logs.log_of(*near_miss(logs))
+    config = parse_config("[audit]\npet_critical_s = 0.2\npet_serious_s = 0.3")
+    found = audit_log(log, config).findings
+    assert found["severity"].to_list() == ["minor"]
+    assert found["threshold_source"].to_list() == ["SSAM"]
+    moved = audit_log(log, parse_config("[audit]\npet_critical_s = 0.9")).findings
+    assert moved["threshold_source"].to_list() == ["configured: audit.pet_critical_s"]
+    assert moved["finding_id"].to_list() == found["finding_id"].to_list()
+
+
+def transformed(log: Log, how: str) -> Log:
+    states = log.states
+    if how == "moved":
+        states = states.with_columns(pl.col("x_m") + 448_000.0, pl.col("y_m") - 5_411_000.0)
+    elif how == "turned":
+        heading = (pl.col("heading_rad") + 0.6 + np.pi) % (2 * np.pi) - np.pi
+        c, s = np.cos(0.6), np.sin(0.6)
+        states = states.with_columns(
+            (c * pl.col("x_m") - s * pl.col("y_m")).alias("x_m"),
+            (s * pl.col("x_m") + c * pl.col("y_m")).alias("y_m"),
+            heading.alias("heading_rad"),
+        )
+    elif how == "later":
+        shift = 987_654_321_000
+        states = states.with_columns(pl.col("time_ns", "log_time_ns", "publish_time_ns") + shift)
+    elif how == "renamed":
+        # The other way round in the alphabet: every pair is swapped.
+        names = states["vehicle_id"].unique().sort().to_list()
+        turned = {name: f"{len(names) - k:03d}" for k, name in enumerate(names)}
+        states = states.with_columns(pl.col("vehicle_id").replace_strict(turned))
+    return replace(log, states=states.sort("vehicle_id", "time_ns", maintain_order=True))
+
+
+@pytest.mark.parametrize("how", ["moved", "turned", "later", "renamed"])
+def test_findings_do_not_depend_on_how_the_world_is_told(how: str, logs: SimpleNamespace) -> None:
+    log = logs.log_of(
+        *calm(logs),
+        *near_miss(logs),
+        east(logs, "x", 20.0, 0.0, y_m=200.0),
+        east(logs, "y", 21.7, -24.0, y_m=200.5),
+    )
+    before, after = audit_log(log, Config()), audit_log(transformed(log, how), Config())
+
+    def told(audit: Audit) -> list[tuple[Any, ...]]:
+        rows = audit.findings.with_columns(
+            pl.col("start_ns", "worst_ns", "end_ns") - audit.vehicle_samples["time_ns"].min(),
+            pl.col("value").abs(),
+        )
+        return sorted(rows.select("rule", "severity", "start_ns", "worst_ns", "end_ns", "value").rows())
+
+    assert len(told(before)) > 5
+    for one, two in zip(told(before), told(after), strict=True):
+        assert one[:-1] == two[:-1]
+        assert one[-1] == pytest.approx(two[-1], rel=1e-5, abs=1e-6)
+
+
+def test_the_same_log_gives_the_same_tables(logs: SimpleNamespace) -> None:
+    log = logs.log_of(*calm(logs), *near_miss(logs))
+    one, two = audit_log(log, Config()), audit_log(log, Config())
+    for name in ("findings", "encounters", "pair_samples", "vehicle_samples", "coverage"):
+        assert getattr(one, name).equals(getattr(two, name))
+
+
+def test_vehicles_on_clocks_of_their_own_are_taken_to_common_times(logs: SimpleNamespace) -> None:
+    a, b = near_miss(logs)
+    at = np.arange(0.037, 11.9, 0.07)
+    shifted = logs.recorded("bob", at, x_m=-600.0, y_m=10 * at + 27.6, speed_mps=10.0, heading_rad=np.pi / 2)
+    one, two = audit_log(logs.log_of(a, b), Config()), audit_log(logs.log_of(a, shifted), Config())
+    assert findings(two) == findings(one)
+    assert two.encounters["least_gap_m"][0] == pytest.approx(one.encounters["least_gap_m"][0], abs=0.4)
+
+
+def test_tables_have_their_schemas_even_of_an_empty_log(logs: SimpleNamespace) -> None:
+    schemas = {
+        "findings": FINDINGS_SCHEMA, "encounters": ENCOUNTERS_SCHEMA, "pair_samples": PAIR_SAMPLES_SCHEMA,
+        "vehicle_samples": VEHICLE_SAMPLES_SCHEMA, "coverage": COVERAGE_SCHEMA,
+    }  # fmt: skip
+    full = logs.log_of(*near_miss(logs))
+    lone = logs.log_of(east(logs, "a", 5.0, 0.0).head(1))
+    for log in (full, lone, replace(full, states=full.states.clear())):
+        audit = audit_log(log, Config())
+        for name, schema in schemas.items():
+            assert getattr(audit, name).schema == schema
+    assert audit.verdict == Verdict.INCONCLUSIVE  # nothing was judged
+
+
+def test_what_is_not_known_is_not_judged_and_never_passes(logs: SimpleNamespace) -> None:
+    a, b = near_miss(logs)
+    blind = b.with_columns(heading_rad=pl.lit(None, dtype=pl.Float64))
+    audit = audit_log(logs.log_of(a, blind), Config())
+    assert findings(audit) == []
+    of_bob = audit.coverage.filter(pl.col("vehicle_id") == "bob", pl.col("rule") == "ttc")
+    assert of_bob["verdict"].to_list() == ["inconclusive"]
+    assert of_bob["judged_s"].to_list() == [0.0]
+
+
+def test_sizes_that_the_log_does_not_tell_are_said_to_be_assumed(logs: SimpleNamespace) -> None:
+    a, b = (part.with_columns(length_m=pl.lit(None, dtype=pl.Float64)) for part in near_miss(logs))
+    audit = audit_log(logs.log_of(a, b), Config())
+    assert set(audit.coverage["dimensions_source"]) == {"default"}
+    assert "size assumed: ann, bob" in audit.findings["detail"][0]
+
+
+def test_recorded_traffic_is_audited_whole() -> None:
+    folder = ROOT / ".." / "shared" / "logs" / "third_party"
+    if not folder.exists():
+        pytest.skip("the recorded traffic of others is not beside the repository")
+    read = {
+        path.stem: audit_log(read_log(path), Config())
+        for path in sorted(folder.glob("*.mcap"))
+        if "sumo" not in path.stem
+    }
+    walker = read["pedestrian"]
+    assert set(walker.encounters["severity"]) == {"critical"}
+    assert walker.encounters["conflict_type"].to_list() == ["crossing"]
+    cut_in = read["alks_cut-in"].encounters.row(0, named=True)
+    assert (cut_in["severity"], cut_in["consequence"]) == ("critical", None)
+    # Recorded by cameras over a road: one pair of boxes overlaps as recorded.
+    overlaps = {
+        name: audit.findings.filter(pl.col("rule") == "gap", pl.col("value") < 0).height
+        for name, audit in read.items()
+    }
+    assert {name for name, count in overlaps.items() if count} == {"USA_Lanker-1_1_T-1"}
