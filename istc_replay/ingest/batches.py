@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -81,3 +82,18 @@ def rows(data: Bytes, starts: Ints, size: int) -> Bytes:
 def heads(data: Bytes, positions: Ints) -> NDArray[np.void]:
     """Read the message records' heads at the positions, shape (n,) of HEAD."""
     return rows(data, positions, HEAD.itemsize).view(HEAD).reshape(-1)
+
+
+def distinct(values: NDArray[Any]) -> tuple[NDArray[Any], Ints]:
+    """Return the different integers, in order, and for each value its place among them."""
+    if len(values):
+        low, high = int(values.min()), int(values.max())
+        if high - low < 4 * len(values) + 1024:
+            # A table is faster than sorting.
+            offsets = (values - values.dtype.type(low)).astype(np.int64)
+            there = np.zeros(high - low + 1, np.bool_)
+            there[offsets] = True
+            ranks = np.cumsum(there) - 1
+            return np.flatnonzero(there).astype(values.dtype) + values.dtype.type(low), ranks[offsets]
+    found, own = np.unique(values, return_inverse=True)
+    return found, own.reshape(-1)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from istc_replay.ingest.batches import distinct
 from istc_replay.ingest.channels import Format
 from istc_replay.ingest.meaning import Floats, Names, States, vehicle_of
 from istc_replay.ingest.problems import Problems, quoted
@@ -152,10 +153,11 @@ class Gatherer:
         children = states.children[open_]
         if many and (children < 0).all():
             return self._numbered(vehicles, open_, states.rows, topics)
-        pairs, own_pair = np.unique(np.stack([topics[open_], children]), axis=1, return_inverse=True)
-        codes = [self._by_frame(topic, child) for topic, child in pairs.T.tolist()]
+        width = len(self._names.texts) + 1
+        pairs, places = distinct(topics[open_] * width + children + 1)
+        codes = [self._by_frame(pair // width, pair % width - 1) for pair in pairs.tolist()]
         vehicles = vehicles.copy()
-        vehicles[open_] = np.array(codes, np.int64)[own_pair.reshape(-1)]
+        vehicles[open_] = np.array(codes, np.int64)[places]
         return vehicles
 
     def _by_frame(self, topic: int, child: int) -> int:
@@ -172,13 +174,15 @@ class Gatherer:
         first[starts] = starts
         place = np.arange(len(rows)) - np.maximum.accumulate(first)
         vehicles = vehicles.copy()
-        pairs, own = np.unique(np.stack([topics[open_], place[open_]]), axis=1, return_inverse=True)
-        names = [f"{vehicle_of(self._names.texts[topic], '')}/{k}" for topic, k in pairs.T.tolist()]
-        vehicles[open_] = np.array([self._names.code(name) for name in names], np.int64)[own.reshape(-1)]
+        width = len(rows)
+        pairs, own = distinct(topics[open_] * width + place[open_])
+        parts = [divmod(pair, width) for pair in pairs.tolist()]
+        names = [f"{vehicle_of(self._names.texts[topic], '')}/{k}" for topic, k in parts]
+        vehicles[open_] = np.array([self._names.code(name) for name in names], np.int64)[own]
         return vehicles
 
     def _nameless(self, vehicles: Ints) -> Mask:
-        used = np.unique(vehicles)
+        used = distinct(vehicles)[0]
         bad = [
             code for code in used.tolist() if code < 0 or not 0 < len(self._names.texts[code]) <= _ID_LIMIT
         ]

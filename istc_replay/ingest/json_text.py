@@ -32,7 +32,8 @@ class JsonDecoder:
 
     def decode(self, data: Bytes, starts: Ints, ends: Ints) -> Decoded:
         """Decode the payloads that these spans of data hold."""
-        payloads = [data[start:end].tobytes() for start, end in zip(starts, ends, strict=True)]
+        raw = data.tobytes()
+        payloads = [raw[start:end] for start, end in zip(starts.tolist(), ends.tolist(), strict=True)]
         columns = None if self._items else self._fast(payloads)
         if columns is not None:
             return Decoded(np.arange(len(payloads)), columns, [])
@@ -42,7 +43,8 @@ class JsonDecoder:
 
     def _fast(self, payloads: list[bytes]) -> dict[str, Column] | None:
         """Read all payloads as one table; None where any of them is not as the first one is."""
-        if max(payload.count(b"{") + payload.count(b"[") for payload in payloads) > _BRACKETS:
+        long = (payload for payload in payloads if len(payload) > _BRACKETS)
+        if any(payload.count(b"{") + payload.count(b"[") > _BRACKETS for payload in long):
             return None
         try:
             first = _load(payloads[0])
@@ -51,8 +53,10 @@ class JsonDecoder:
             return None
         if not schema:
             return None
-        # A line break may stand between the tokens of JSON, never within one.
-        lines = b"\n".join(payload.replace(b"\n", b" ").replace(b"\r", b" ") for payload in payloads)
+        lines = b"\n".join(payloads)
+        if lines.count(b"\n") >= len(payloads):
+            # A line break may stand between the tokens of JSON, never within one.
+            lines = b"\n".join(payload.replace(b"\n", b" ") for payload in payloads)
         try:
             table = pl.read_ndjson(io.BytesIO(lines), schema=schema)
         except (pl.exceptions.PolarsError, ValueError, OverflowError):

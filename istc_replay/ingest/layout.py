@@ -23,6 +23,8 @@ NULL, ZERO = -1, -2
 #: Layouts that are kept, and tried on a payload of their size.
 _KEPT = 256
 _WORD = 8
+#: Mixes the words of a text into a hash.
+_FACTOR = np.uint64(0x9E3779B97F4A7C15)
 
 
 class Leaf(NamedTuple):
@@ -247,12 +249,19 @@ def _codes(raw: Bytes, kind: str, codes: dict[Any, int]) -> Ints | int:
         return codes.setdefault("" if kind == "text" else b"", len(codes))
     if (raw == raw[0]).all():
         return codes.setdefault(_text(raw[0].tobytes(), kind), len(codes))
-    packed = np.ascontiguousarray(raw).tobytes()
-    size = raw.shape[1]
-    local: dict[bytes, int] = {}
-    own = [local.setdefault(packed[k : k + size], len(local)) for k in range(0, len(packed), size)]
-    known = [codes.setdefault(_text(text, kind), len(codes)) for text in local]
-    return np.array(known, np.int64)[own]
+    count, size = raw.shape
+    padded = np.zeros((count, -(-size // _WORD) * _WORD), np.uint8)
+    padded[:, :size] = raw
+    words = padded.view(np.uint64)
+    mixed = np.zeros(count, np.uint64)
+    for word in range(words.shape[1]):
+        mixed = (mixed ^ words[:, word]) * _FACTOR
+        mixed ^= mixed >> np.uint64(29)
+    _, first, own = np.unique(mixed, return_index=True, return_inverse=True)
+    if (words == words[first[own]]).all():
+        known = [codes.setdefault(_text(raw[row].tobytes(), kind), len(codes)) for row in first.tolist()]
+        return np.array(known, np.int64)[own]
+    return np.array([codes.setdefault(_text(row.tobytes(), kind), len(codes)) for row in raw], np.int64)
 
 
 def _text(raw: bytes, kind: str) -> Any:

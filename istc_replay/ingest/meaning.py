@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from istc_replay.ingest.batches import Ints
+from istc_replay.ingest.batches import Ints, distinct
 from istc_replay.ingest.layout import Column, Decoded
 from istc_replay.ingest.problems import Problems, quoted
 from istc_replay.units import NS_PER_S
@@ -83,7 +83,7 @@ class Names:
         if column is None:
             return np.full(count, -1, np.int64)
         if column.texts is None:
-            values, own = np.unique(column.values, return_inverse=True)
+            values, own = distinct(column.values)
             texts: list[Any] = [_number_name(value) for value in values.tolist()]
         else:
             texts, own = column.texts, column.values

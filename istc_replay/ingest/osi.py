@@ -15,7 +15,7 @@ from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from google.protobuf.message import DecodeError
 
 from istc_replay.datatypes import SceneObstacle
-from istc_replay.ingest.batches import Bytes, Ints
+from istc_replay.ingest.batches import Bytes, Ints, distinct
 from istc_replay.ingest.layout import Column
 from istc_replay.ingest.meaning import ROLES, Roles, whole
 from istc_replay.ingest.payload import PayloadError
@@ -26,6 +26,8 @@ from istc_replay.ingest.scene import SceneParts
 
 #: Longest descriptor that is built [bytes]; OSI's own has 0.8 MB.
 _DESCRIPTOR_LIMIT = 4 * 2**20
+#: Numbers of enumerations are below this.
+_ENUM_LIMIT = 1024
 #: Different stationary objects that are read.
 _STANDING_LIMIT = 200_000
 #: Standing objects that one drives under or over.
@@ -135,10 +137,13 @@ def roles_by_number(type_: Any, items: str) -> Roles:
 
     def roles(columns: dict[str, Column], count: int) -> Ints:
         kind, vehicle = whole(columns, "type", count), whole(columns, "vehicle_type", count)
-        pairs, own = np.unique(np.stack([kind, vehicle]), axis=1, return_inverse=True)
-        named = [_role(kinds.get(k, ""), vehicles.get(max(v, 0), "")) for k, v in pairs.T.tolist()]
+        # Enumerations are small: both fit one number.
+        small = np.clip(kind, -1, _ENUM_LIMIT - 1) * _ENUM_LIMIT + np.clip(vehicle, 0, _ENUM_LIMIT - 1)
+        pairs, own = distinct(small)
+        parts = [divmod(pair, _ENUM_LIMIT) for pair in pairs.tolist()]
+        named = [_role(kinds.get(k, ""), vehicles.get(v, "")) for k, v in parts]
         table = np.array([ROLES.index(name) for name in named] or [0], np.int64)
-        return table[own.reshape(-1)]
+        return table[own]
 
     return roles
 

@@ -9,6 +9,7 @@ import polars as pl
 from numpy.typing import NDArray
 
 from istc_replay.config import VehiclesConfig
+from istc_replay.ingest.batches import distinct
 from istc_replay.ingest.columns import Block, Ints, Mask
 from istc_replay.ingest.meaning import PLAIN, ROLES, Floats, Names
 from istc_replay.ingest.problems import Problems, quoted
@@ -104,7 +105,7 @@ def _tell(states: Columns, names: Names, rows: Ints, code: str, what: str, probl
 
 def sort_states(states: Columns, names: Names, problems: Problems) -> None:
     """Sort by vehicle id and time; states of the same time stay in the order of the log, and are told."""
-    used = np.unique(states.whole["vehicle"])
+    used = distinct(states.whole["vehicle"])[0]
     ranks = np.zeros(len(names.texts) + 1, np.int64)
     by_name = sorted(used.tolist(), key=names.texts.__getitem__)
     ranks[by_name] = np.arange(len(by_name))
