@@ -68,7 +68,7 @@ class AuditConfig(Section):
     thw_critical_s: Positive = 0.4
     """Time headway (fined in Austria)."""
     queue_mps: NonNegative = 5.0
-    """Slower vehicles are in a queue: headway and RSS are told, but are no finding (ours)."""
+    """Slower vehicles are in a queue: THW, RSS and rear-end TTC are told, but no finding (ours)."""
     rss_response_s: Positive = 1.0
     """RSS: response time rho (ad-rss: 1 s own, 2 s others)."""
     rss_acceleration_mps2: NonNegative = 3.5

@@ -168,7 +168,7 @@ ENCOUNTERS_SCHEMA = pl.Schema(
         "end_ns": pl.Int64(),
         "x_m": pl.Float64(),
         "y_m": pl.Float64(),
-        "least_gap_m": pl.Float64(),
+        "least_gap_m": pl.Float64(),  # until the pause that ends an encounter is over
         "least_gap_ns": pl.Int64(),
         "least_ttc_s": pl.Float64(),
         "most_drac_mps2": pl.Float64(),

@@ -125,8 +125,10 @@ def _exposure(times_ns: IntArray, ttc: FloatArray, period_s: float, audit: Audit
 def _meeting(
     group: Group, met_rad: float | None, bodies: list[Body], times_ns: IntArray, audit: AuditConfig
 ) -> dict[str, object]:
-    """The least gap, and how the two met when it was worst."""
-    times = times_ns[(times_ns >= group.start_ns) & (times_ns <= group.end_ns)]
+    """The least gap until the pause after it, and how the two met when it was worst."""
+    # How near they came shows only once the prediction has run out.
+    until = group.end_ns + audit.encounter_pause_s * NS_PER_S
+    times = times_ns[(times_ns >= group.start_ns) & (times_ns <= until)]
     boxes, courses, velocities = [], [], []
     for row in group.bodies:
         box, speed = bodies[row].boxes(times)

@@ -12,6 +12,7 @@ from istc_replay.audit.bodies import Body
 from istc_replay.audit.events import Event, find_events
 from istc_replay.audit.pair_samples import Encroachments, Pairs
 from istc_replay.audit.quality import Issue, is_doubtful
+from istc_replay.audit.relation import CONFLICT_TYPES
 from istc_replay.audit.rules import PAIR_RULES, PET_RULE, VEHICLE_RULES, Rule
 from istc_replay.audit.vehicle_samples import Motion
 from istc_replay.audit_config import AuditConfig
@@ -22,6 +23,8 @@ IntArray = NDArray[np.int64]
 
 #: A bridge spans a sample at least, whatever the rate.
 _BRIDGED_PERIODS = 1.5
+#: Who followed this long before paths part was following.
+_PARTED_NS = 2 * NS_PER_S
 
 
 @dataclass(frozen=True, slots=True)
@@ -104,9 +107,14 @@ def judged_values(pairs: Pairs, rule: str, audit: AuditConfig) -> FloatArray:
     # What overlaps at once is a finding of the gap; what would graze may as well pass.
     real = moving & relative & (pairs["gap_m"] > 0.0) & (pairs["silhouette_m"] > audit.grazing_m)
     if rule == "required_deceleration":
-        # Where neither vehicle can brake its way out, other measures tell how near contact is.
+        # Head on, and where neither can brake its way out, other measures tell how near contact is.
         needed = np.fmin(pairs["required_first_mps2"], pairs["required_second_mps2"])
-        return np.where(real & np.isfinite(needed), needed, np.nan)
+        braking_helps = np.isfinite(needed) & (pairs["conflict_type"] != CONFLICT_TYPES.index("head_on"))
+        return np.where(real & braking_helps, needed, np.nan)
+    if rule == "ttc":
+        # A queue closes up at little gaps: there DRAC says whether it does so hard.
+        queue = pairs["conflict_type"] == CONFLICT_TYPES.index("rear_end")
+        real &= ~(queue & (pairs["fastest_mps"] < audit.queue_mps))
     return np.where(real, pairs[{"ttc": "ttc_s", "drac": "drac_mps2"}[rule]], np.nan)
 
 
@@ -128,7 +136,12 @@ def _pair_detail(rule: Rule, pairs: Pairs, event: Event, bodies: list[Body]) -> 
 
 
 def encroachment_findings(
-    left: Encroachments, bodies: list[Body], spans: list[IntArray], period_ns: float, audit: AuditConfig
+    left: Encroachments,
+    pairs: Pairs,
+    bodies: list[Body],
+    spans: list[IntArray],
+    period_ns: float,
+    audit: AuditConfig,
 ) -> list[Finding]:
     """Findings of post-encroachment times; positive where the first named body was there first."""
     seconds = (left.later_ns - left.earlier_ns) / NS_PER_S
@@ -146,6 +159,8 @@ def encroachment_findings(
     found = []
     for event in events:
         who = (int(left.first[event.start]), int(left.second[event.start]))
+        if _follows(pairs, who, int(left.earlier_ns[event.start])):
+            continue
         times = (
             int(left.earlier_ns[event.start]),
             int(left.later_ns[event.worst]),
@@ -158,11 +173,32 @@ def encroachment_findings(
         )
         place = (float(left.x_m[event.worst]), float(left.y_m[event.worst]))
         pair = (min(who), max(who))
-        signed = value if who == pair else -value
+        signed = value if who == pair or value == 0.0 else -value
         found.append(
             _finding(PET_RULE, audit, event.level, pair, times, place, signed, detail, bodies, spans)
         )
-    return found
+    return _contacts_once(found)
+
+
+def _follows(pairs: Pairs, who: tuple[int, int], time_ns: int) -> bool:
+    """Whether the second follows the first before their paths part: then headway is the measure."""
+    key = min(who) * (1 << 32) + max(who)
+    start, end = np.searchsorted(pairs.key, [key, key + 1]).tolist()
+    before = (pairs.time_ns[start:end] <= time_ns) & (pairs.time_ns[start:end] >= time_ns - _PARTED_NS)
+    return bool((before & (pairs["follower"][start:end] == who[1])).any())
+
+
+def _contacts_once(found: list[Finding]) -> list[Finding]:
+    """Contact is found both ways round: keep the longer of two that overlap."""
+    kept: list[Finding] = []
+    for finding in sorted(found, key=lambda f: (f.start_ns, -f.end_ns, f.detail)):
+        again = any(
+            one.value == 0.0 and one.bodies == finding.bodies and one.end_ns >= finding.start_ns
+            for one in kept
+        )
+        if finding.value != 0.0 or not again:
+            kept.append(finding)
+    return kept
 
 
 def vehicle_findings(

@@ -92,7 +92,7 @@ def audit_log(log: Log, config: Config) -> Audit:
     issues += overlap_issues(pairs, bodies, times)
     spans = doubtful_spans(issues, len(bodies))
     of_pairs = pair_findings(pairs, bodies, spans, period_ns, audit)
-    of_pairs += encroachment_findings(left, bodies, spans, period_ns, audit)
+    of_pairs += encroachment_findings(left, pairs, bodies, spans, period_ns, audit)
     of_vehicles = vehicle_findings(bodies, motions, spans, audit)
     groups = group_findings(of_pairs, audit)
     encounters = encounter_rows(groups, pairs, left, bodies, times, audit)

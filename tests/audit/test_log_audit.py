@@ -337,3 +337,54 @@ def test_recorded_traffic_is_audited_whole() -> None:
         for name, audit in read.items()
     }
     assert {name for name, count in overlaps.items() if count} == {"USA_Lanker-1_1_T-1"}
+
+
+def turning(logs: SimpleNamespace, name: str, start: float, *, turns: bool) -> pl.DataFrame:
+    """East at 8 m/s; at x = 0 straight on, or into a bend of 10 m to the north."""
+    s = 8.0 * T + start
+    angle = np.clip(s / 10.0, 0.0, np.pi / 2) * turns
+    bent, rest = 10.0 * angle, np.maximum(s - 10.0 * np.pi / 2, 0.0) * turns
+    x = np.where(s < 0, s, 10.0 * np.sin(angle) if turns else s)
+    y = np.where(s < 0, 0.0, 10.0 * (1 - np.cos(angle)) + rest)
+    assert bent.max() <= 10.0 * np.pi / 2
+    return logs.recorded(name, T, x_m=x, y_m=y, heading_rad=angle, speed_mps=8.0, rear_axle_to_centre_m=0.0)
+
+
+def test_who_follows_and_then_turns_off_has_a_headway_and_no_encroachment(logs: SimpleNamespace) -> None:
+    log = logs.log_of(turning(logs, "a", -40.0, turns=False), turning(logs, "b", -40.0 - 20.0, turns=True))
+    rules = {rule for rule, _, who in findings(audit_log(log, Config())) if len(who) == 2}
+    assert "pet" not in rules
+    # Apart from where it turns, it keeps 15.5 m at 8 m/s.
+    assert "thw" not in rules
+
+
+def test_a_queue_that_closes_up_gently_is_no_finding_and_one_that_does_so_hard_is(
+    logs: SimpleNamespace,
+) -> None:
+    def closing(speed: Array) -> set[str]:
+        x, v = drive(speed)
+        x = x - x[-1] - 4.5 - 0.9  # stops 0.9 m behind
+        log = logs.log_of(
+            logs.recorded("b", T, x_m=x, speed_mps=v), logs.recorded("c", T, x_m=0.0, speed_mps=0.0)
+        )
+        return {rule for rule, _, who in findings(audit_log(log, Config())) if len(who) == 2}
+
+    assert closing(np.clip(4.0 - 1.5 * (T - 5), 0, 4)) == set()
+    assert "drac" in closing(np.clip(4.0 - 8.0 * (T - 5), 0, 4))
+
+
+def test_contact_is_one_encroachment_of_zero_and_the_encounter_tells_how_near_they_came(
+    logs: SimpleNamespace,
+) -> None:
+    log = logs.log_of(
+        logs.recorded("a", T, x_m=10 * T - 60, speed_mps=10.0),
+        north(logs, "b", 10.0, -61.0),
+        *calm(logs)[7:9],
+    )
+    audit = audit_log(log, Config())
+    pet = audit.findings.filter(pl.col("rule") == "pet")
+    assert (pet.height, pet["value"][0], pet["severity"][0]) == (1, 0.0, "critical")
+    row = audit.encounters.row(0, named=True)
+    assert (row["least_pet_s"], row["least_gap_m"] < -0.5, row["severity"]) == (0.0, True, "critical")
+    # Two of one size at right angles: half of 10 sqrt 2 each.
+    assert row["delta_v_first_mps"] == pytest.approx(10 * np.sqrt(2) / 2)
