@@ -27,7 +27,7 @@ from istc_replay.corridors.problem import OptionTable
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from istc_replay.corridors.problem import CorridorProblem, Disjunction
+    from istc_replay.corridors.problem import CorridorProblem, Disjunction, IntArray
     from istc_replay.datatypes import FloatArray
 
 #: A conflict smaller than this is closed by rounding, not by branching.
@@ -141,7 +141,9 @@ class _Tree:
     best: PivotSolution | None = None
     best_choices: Choices = ()
     open_conflict: Disjunction | None = None
+    earliest_first: bool = False
     _qp: PivotQp = field(init=False)
+    _unit: IntArray = field(init=False)
     _own: list[int] = field(init=False)
     _table: OptionTable = field(init=False)
 
@@ -154,14 +156,18 @@ class _Tree:
         ]
         self._qp = PivotQp(self.problem, tuple(self.group))
         self._table = OptionTable.of([disjunctions[d] for d in self._own])
+        self._unit = np.array([disjunctions[d].unit for d in self._own], dtype=np.int64)
 
     def run(self) -> None:
         """Search within the budget: below the guess, the whole tree, then neighbourhoods."""
         share = round(_TREE_SHARE * self.budget)
         if self.guess:
             self.plunge(self.guess, share, first_only=True)
-        # Until there is a solution the whole budget may go into finding one.
-        self.exhausted = self.plunge((), share, until_found=True)
+        self.exhausted = self.plunge((), share)
+        if self.best is None and not self.exhausted:
+            # The largest conflict first leads to better solutions, the earliest to one at all.
+            self.earliest_first = True
+            self.exhausted = self.plunge((), self.budget, first_only=True)
         if not self.exhausted and self.best is not None:
             self._improve()
 
@@ -170,13 +176,10 @@ class _Tree:
         """Cost that a node must stay below to be worth anything."""
         return np.inf if self.best is None else self.best.cost * (1.0 - _BETTER)
 
-    def plunge(
-        self, root: Choices, limit: int, *, until_found: bool = False, first_only: bool = False
-    ) -> bool:
-        """Search below `root` for `limit` nodes.
+    def plunge(self, root: Choices, limit: int, *, first_only: bool = False) -> bool:
+        """Search below `root` for `limit` nodes; with `first_only` the first solution ends it.
 
-        With `until_found` the limit does not hold before there is a solution; with `first_only`
-        the first one ends the search. Returns whether nothing below `root` is left to search.
+        Returns whether nothing below `root` is left to search.
         """
         end = min(self.budget, self.nodes + limit)
         start = self._solve(root, None)
@@ -185,7 +188,7 @@ class _Tree:
         order = count()
         queue: list[tuple[float, int, Choices, PivotSolution]] = [(start.cost, next(order), root, start)]
         while queue:
-            if self.nodes >= (self.budget if until_found and self.best is None else end):
+            if self.nodes >= end:
                 return False
             cost, _, choices, node = heapq.heappop(queue)
             if cost >= self.cutoff:
@@ -235,8 +238,9 @@ class _Tree:
                 if part is None:
                     break
                 before = self.best
-                kept = tuple(c for c in self.best_choices if not self._concerns(c[0], part))
-                self.plunge(kept, nodes)
+                for self.earliest_first in (False, True):
+                    kept = tuple(c for c in self.best_choices if not self._concerns(c[0], part))
+                    self.plunge(kept, nodes)
                 if self.best is not before:
                     tried = {other for other in tried if not other & part}
                 tried.add(part)
@@ -265,7 +269,7 @@ class _Tree:
         return self._table.slack(self.problem.least_cubes(z))
 
     def _worst_conflict(self, z: FloatArray) -> int | None:
-        """Branch where the overlap is largest and a second way out is far."""
+        """Branch where the overlap is largest and a second way out is far, or in the earliest unit."""
         if not self._own:
             return None
         ordered = np.sort(self._slack(z), axis=1)[:, ::-1]
@@ -273,4 +277,7 @@ class _Tree:
         if overlap.max() <= CONFLICT_M:
             return None
         second = np.where(np.isfinite(ordered[:, 1]), -ordered[:, 1], _NO_WAY_OUT_M)
-        return self._own[int(np.argmax(np.where(overlap > CONFLICT_M, overlap + second / 2.0, -np.inf)))]
+        open_ = overlap > CONFLICT_M
+        if self.earliest_first:
+            open_ &= self._unit == self._unit[open_].min()
+        return self._own[int(np.argmax(np.where(open_, overlap + second / 2.0, -np.inf)))]
