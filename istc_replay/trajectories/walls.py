@@ -22,8 +22,9 @@ SIDES = np.array([-1.0, 1.0, -1.0, 1.0])
 #: Spacing of the samples that the continuous-time check bounds the motion between: everywhere, and
 #: in intervals that this cannot decide.
 _DENSE_S, _FINEST_S = 0.01, 2e-4
-#: Room that no margin is taken from: it is all that IPOPT has to move in.
-_SLIVER_M = 2e-3
+#: Room that no margin is taken from, as it is all that IPOPT has to move in; but for the
+#: micrometres by which Runge-Kutta misses the true motion.
+_SLIVER_M, _DRIFT_M = 2e-3, 5e-6
 #: Every wall is this much further out, well below the rounding that certificates allow.
 _GIVE_M = 2e-7
 #: An NLP of more control intervals would take minutes and gigabytes.
@@ -100,7 +101,9 @@ def base_margins(
     """
     boxes = box_extents(pivots_m, headings_rad, dimensions)
     room = SIDES * (cubes_m[:, None, :] - np.stack([boxes[:-1], boxes[1:]], axis=1))  # (K, 2, 4)
-    return np.asarray(np.clip((room.min(axis=1) - _SLIVER_M) / 2, 0.0, margin_m) - _GIVE_M)
+    room = np.maximum(room.min(axis=1), 0.0)
+    drift = np.minimum(room / 4, _DRIFT_M)
+    return np.asarray(np.clip((room - _SLIVER_M) / 2, drift, margin_m) - _GIVE_M)
 
 
 def walls_at(grid: Grid, cubes_m: FloatArray, margins_m: FloatArray, extra_m: FloatArray) -> FloatArray:
