@@ -68,8 +68,9 @@ def encounter_rows(
         for rule in ("ttc", "drac", "required_deceleration", "thw", "rss")
     }
     period_s = float(np.median(np.diff(times_ns))) / NS_PER_S if times_ns.size > 1 else 0.0
+    left_keys, pair_keys = left.key, pairs.key
     keys = [group.bodies[0] * (1 << 32) + group.bodies[1] for group in groups]
-    starts, ends = (np.searchsorted(pairs.key, keys, side=side) for side in ("left", "right"))
+    starts, ends = (np.searchsorted(pair_keys, keys, side=side) for side in ("left", "right"))
     rows = []
     for group, start, end in zip(groups, starts.tolist(), ends.tolist(), strict=True):
         own = pairs.time_ns[start:end]
@@ -79,7 +80,7 @@ def encounter_rows(
         )
         worst = group.worst()
         severity = max((_rank(finding) for finding in group.findings), default=-1)
-        met = _encroachment(group, left, period_s)
+        met = _encroachment(group, left, left_keys, period_s)
         rows.append(
             {
                 "encounter_id": group.identity(bodies),
@@ -128,7 +129,8 @@ def _meeting(
     """The least gap until the pause after it, and how the two met when it was worst."""
     # How near they came shows only once the prediction has run out.
     until = group.end_ns + audit.encounter_pause_s * NS_PER_S
-    times = times_ns[(times_ns >= group.start_ns) & (times_ns <= until)]
+    first, last = np.searchsorted(times_ns, group.start_ns), np.searchsorted(times_ns, until, side="right")
+    times = times_ns[first:last]
     boxes, courses, velocities = [], [], []
     for row in group.bodies:
         box, speed = bodies[row].boxes(times)
@@ -157,12 +159,12 @@ def _meeting(
     }
 
 
-def _encroachment(group: Group, left: Encroachments, period_s: float) -> dict[str, Any]:
+def _encroachment(group: Group, left: Encroachments, keys: IntArray, period_s: float) -> dict[str, Any]:
     """The least post-encroachment time of the pair, and that of the event: at the last place left."""
     one, two = group.bodies
-    ours = ((left.first == one) & (left.second == two)) | ((left.first == two) & (left.second == one))
-    ours &= (left.earlier_ns >= group.start_ns) & (left.earlier_ns <= group.end_ns)
-    rows = np.flatnonzero(ours)
+    rows = np.concatenate(
+        [_within(left, keys, first, second, group) for first, second in ((one, two), (two, one))]
+    )
     if rows.size == 0:
         return {}
     seconds = (left.later_ns[rows] - left.earlier_ns[rows]) / NS_PER_S
@@ -178,6 +180,14 @@ def _encroachment(group: Group, left: Encroachments, period_s: float) -> dict[st
     if group.worst().rule == "pet":
         found["angle_rad"] = float(left.angle_rad[rows[least]])
     return found
+
+
+def _within(left: Encroachments, keys: IntArray, first: int, second: int, group: Group) -> IntArray:
+    """Rows of one body first and the other second that begin within the encounter."""
+    start, end = np.searchsorted(keys, [first * (1 << 32) + second, first * (1 << 32) + second + 1]).tolist()
+    earlier = left.earlier_ns[start:end]
+    low, high = np.searchsorted(earlier, [group.start_ns, group.end_ns + 1]).tolist()
+    return np.arange(start + low, start + high)
 
 
 def _rank(finding: Finding) -> int:

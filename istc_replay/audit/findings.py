@@ -148,7 +148,7 @@ def encroachment_findings(
     levels = np.array([level for _, level, _ in PET_RULE.thresholds(audit)])
     bridge = max(audit.bridge_s * NS_PER_S, _BRIDGED_PERIODS * period_ns)
     events = find_events(
-        left.first * (1 << 32) + left.second,
+        left.key,
         left.earlier_ns,
         -seconds,
         -levels,
@@ -156,10 +156,10 @@ def encroachment_findings(
         bridge_ns=np.full(seconds.size, bridge),
         least_samples=np.ones(levels.size, dtype=np.int64),
     )
-    found = []
+    found, keys = [], pairs.key
     for event in events:
         who = (int(left.first[event.start]), int(left.second[event.start]))
-        if _follows(pairs, who, int(left.earlier_ns[event.start])):
+        if _follows(pairs, keys, who, int(left.earlier_ns[event.start])):
             continue
         times = (
             int(left.earlier_ns[event.start]),
@@ -180,10 +180,10 @@ def encroachment_findings(
     return _contacts_once(found)
 
 
-def _follows(pairs: Pairs, who: tuple[int, int], time_ns: int) -> bool:
+def _follows(pairs: Pairs, keys: IntArray, who: tuple[int, int], time_ns: int) -> bool:
     """Whether the second follows the first before their paths part: then headway is the measure."""
     key = min(who) * (1 << 32) + max(who)
-    start, end = np.searchsorted(pairs.key, [key, key + 1]).tolist()
+    start, end = np.searchsorted(keys, [key, key + 1]).tolist()
     before = (pairs.time_ns[start:end] <= time_ns) & (pairs.time_ns[start:end] >= time_ns - _PARTED_NS)
     return bool((before & (pairs["follower"][start:end] == who[1])).any())
 
@@ -191,13 +191,13 @@ def _follows(pairs: Pairs, who: tuple[int, int], time_ns: int) -> bool:
 def _contacts_once(found: list[Finding]) -> list[Finding]:
     """Contact is found both ways round: keep the longer of two that overlap."""
     kept: list[Finding] = []
+    until: dict[tuple[int, ...], int] = {}
     for finding in sorted(found, key=lambda f: (f.start_ns, -f.end_ns, f.detail)):
-        again = any(
-            one.value == 0.0 and one.bodies == finding.bodies and one.end_ns >= finding.start_ns
-            for one in kept
-        )
-        if finding.value != 0.0 or not again:
-            kept.append(finding)
+        if finding.value == 0.0:
+            if until.get(finding.bodies, finding.start_ns - 1) >= finding.start_ns:
+                continue
+            until[finding.bodies] = finding.end_ns
+        kept.append(finding)
     return kept
 
 

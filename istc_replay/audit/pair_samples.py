@@ -65,6 +65,11 @@ class Encroachments:
     x_m: FloatArray
     y_m: FloatArray
 
+    @property
+    def key(self) -> IntArray:
+        """One number an ordered pair."""
+        return self.first * (1 << 32) + self.second
+
 
 def rss_parameters(audit: AuditConfig) -> RssParameters:
     """The RSS parameters of a configuration."""
