@@ -18,7 +18,9 @@ _FAR_M = 1e12
 
 def cubes_disjoint(case: Case) -> Certificate:
     """Cubes of two vehicles at one time are the promised gap apart along an axis, eq. (5)."""
-    promised = case.config.corridors.vehicle_gap_m
+    promised = case.plan.vehicle_gap_m
+    if promised is None:
+        promised = case.config.corridors.vehicle_gap_m
     least, piece = _least_separation(case, None, promised)
     unit = case.units[least.first, piece] if piece >= 0 else -1
     return certificate_of(
@@ -34,7 +36,9 @@ def cubes_disjoint(case: Case) -> Certificate:
 
 def obstacles_clear(case: Case) -> Certificate:
     """Cubes keep the promised gap from obstacles along an axis, eq. (6)."""
-    promised, obstacles = case.config.corridors.obstacle_gap_m, tuple(case.plan.obstacles)
+    promised, obstacles = case.plan.obstacle_gap_m, tuple(case.plan.obstacles)
+    if promised is None:
+        promised = case.config.corridors.obstacle_gap_m
     least, piece = _least_separation(case, case.obstacles_m, promised)
     unit, name = (case.units[least.first, piece], obstacles[least.second]) if piece >= 0 else (-1, "")
     return certificate_of(

@@ -20,6 +20,9 @@ from istc_replay.units import NS_PER_S
 
 IntArray = NDArray[np.int64]
 
+#: Encounters looked at in one go.
+_BLOCK = 2_000
+
 
 @dataclass(frozen=True, slots=True)
 class Group:
@@ -72,7 +75,9 @@ def encounter_rows(
     keys = [group.bodies[0] * (1 << 32) + group.bodies[1] for group in groups]
     starts, ends = (np.searchsorted(pair_keys, keys, side=side) for side in ("left", "right"))
     rows = []
-    for group, start, end in zip(groups, starts.tolist(), ends.tolist(), strict=True):
+    for k, (group, start, end) in enumerate(zip(groups, starts.tolist(), ends.tolist(), strict=True)):
+        if k % _BLOCK == 0:
+            meetings = _meetings(groups[k : k + _BLOCK], bodies, times_ns, audit)
         own = pairs.time_ns[start:end]
         inside = slice(
             start + int(np.searchsorted(own, group.start_ns)),
@@ -99,7 +104,7 @@ def encounter_rows(
                 "least_thw_s": _extreme(measures["thw"][inside], -1),
                 "least_rss_margin_m": _extreme(measures["rss"][inside], -1),
                 **_exposure(pairs.time_ns[inside], measures["ttc"][inside], period_s, audit),
-                **_meeting(group, met.pop("angle_rad", None), bodies, times_ns, audit),
+                **_meeting(k % _BLOCK, group, met.pop("angle_rad", None), meetings, audit),
                 **met,
                 "rules": sorted({finding.rule for finding in group.findings}),
             }
@@ -123,28 +128,58 @@ def _exposure(times_ns: IntArray, ttc: FloatArray, period_s: float, audit: Audit
     return {"tet_s": float(step[short].sum()), "tit_s2": float((lacking * step).sum())}
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Meetings:
+    """Both bodies of many encounters at the common times, one encounter after the other.
+
+    Encounter k has the rows `edges[k]` to `edges[k + 1]`; (n,) or, of either body, (2, n, ...).
+    """
+
+    edges: IntArray
+    times_ns: IntArray
+    boxes: FloatArray
+    courses_rad: FloatArray
+    velocities: FloatArray
+    gap_m: FloatArray
+
+
+def _meetings(groups: list[Group], bodies: list[Body], times_ns: IntArray, audit: AuditConfig) -> _Meetings:
+    # How near they came shows only once the prediction has run out.
+    pause = round(audit.encounter_pause_s * NS_PER_S)
+    first = np.searchsorted(times_ns, [group.start_ns for group in groups])
+    last = np.searchsorted(times_ns, [group.end_ns + pause for group in groups], side="right")
+    edges = np.concatenate([[0], np.cumsum(last - first)])
+    group = np.repeat(np.arange(len(groups)), last - first)
+    times = times_ns[np.arange(edges[-1]) - edges[group] + first[group]]
+    boxes, speeds = np.full((2, times.size, 5), np.nan), np.full((2, times.size), np.nan)
+    for side in (0, 1):
+        who = np.array([g.bodies[side] for g in groups], dtype=np.int64)[group]
+        order = np.argsort(who, kind="stable")
+        for rows in np.split(order, np.flatnonzero(np.diff(who[order])) + 1):
+            if rows.size:
+                boxes[side, rows], speeds[side, rows] = bodies[int(who[rows[0]])].boxes(times[rows])
+    heading = boxes[..., 2]
+    velocities = np.stack([np.cos(heading), np.sin(heading)], axis=-1) * speeds[..., None]
+    courses = heading + np.where(speeds < 0.0, np.pi, 0.0)
+    return _Meetings(edges, times, boxes, courses, velocities, box_gap(boxes[0], boxes[1]))
+
+
 def _meeting(
-    group: Group, met_rad: float | None, bodies: list[Body], times_ns: IntArray, audit: AuditConfig
+    k: int, group: Group, met_rad: float | None, meetings: _Meetings, audit: AuditConfig
 ) -> dict[str, object]:
     """The least gap until the pause after it, and how the two met when it was worst."""
-    # How near they came shows only once the prediction has run out.
-    until = group.end_ns + audit.encounter_pause_s * NS_PER_S
-    first, last = np.searchsorted(times_ns, group.start_ns), np.searchsorted(times_ns, until, side="right")
-    times = times_ns[first:last]
-    boxes, courses, velocities = [], [], []
-    for row in group.bodies:
-        box, speed = bodies[row].boxes(times)
-        boxes.append(box)
-        courses.append(box[:, 2] + np.where(speed < 0.0, np.pi, 0.0))
-        velocities.append(np.stack([np.cos(box[:, 2]), np.sin(box[:, 2])], axis=-1) * speed[:, None])
-    gap = box_gap(boxes[0], boxes[1])
-    if not np.isfinite(gap).any():
+    start, end = int(meetings.edges[k]), int(meetings.edges[k + 1])
+    gap, times = meetings.gap_m[start:end], meetings.times_ns[start:end]
+    known = np.flatnonzero(np.isfinite(gap))
+    if known.size == 0:
         return {}
-    least = int(np.nanargmin(gap))
-    worst = int(np.nanargmin(np.where(np.isfinite(gap), np.abs(times - group.worst().worst_ns), np.inf)))
-    at = slice(worst, worst + 1)
-    changes = [float(v[0]) for v in delta_v(boxes[0][at], boxes[1][at], (velocities[1] - velocities[0])[at])]
-    angle = conflict_angle(courses[0][at], courses[1][at]) if met_rad is None else np.array([met_rad])
+    least = int(known[np.argmin(gap[known])])
+    row = start + int(known[np.argmin(np.abs(times[known] - group.worst().worst_ns))])
+    at = slice(row, row + 1)
+    relative = meetings.velocities[1, at] - meetings.velocities[0, at]
+    changes = [float(change[0]) for change in delta_v(meetings.boxes[0, at], meetings.boxes[1, at], relative)]
+    courses = meetings.courses_rad[:, at]
+    angle = conflict_angle(courses[0], courses[1]) if met_rad is None else np.array([met_rad])
     kind = int(conflict_type(angle, (audit.rear_end_rad, audit.crossing_rad, audit.head_on_rad))[0])
     consequence = None
     if max(changes) >= audit.delta_v_serious_mps:

@@ -71,13 +71,18 @@ class VehiclePlan:
 
 @dataclass(slots=True, eq=False)
 class WrittenPlan:
-    """What one window's plan says: sound cubes and trajectories by vehicle, obstacles, faults."""
+    """What one window's plan says: sound cubes and trajectories by vehicle, obstacles, faults.
+
+    The gaps are those that it promises [m], None where it is silent.
+    """
 
     index: int
     start_ns: int
     end_ns: int
     frame: Frame
     vehicles: tuple[str, ...]
+    vehicle_gap_m: float | None = None
+    obstacle_gap_m: float | None = None
     cubes: dict[str, Boxes] = field(default_factory=dict)
     plans: dict[str, VehiclePlan] = field(default_factory=dict)
     obstacles: dict[str, Boxes] = field(default_factory=dict)
@@ -112,6 +117,13 @@ def written_plans(result: Result) -> Iterator[WrittenPlan]:
             )
 
 
+def _gap(value: object) -> float | None:
+    """A promised gap [m]; one that is negative or no number promises nothing."""
+    if isinstance(value, int | float) and not isinstance(value, bool) and 0.0 <= value < np.inf:
+        return float(value)
+    return None
+
+
 def _written_plan(
     index: int, entry: dict[str, Any], corridors: pl.DataFrame, states: pl.DataFrame, obstacles: pl.DataFrame
 ) -> WrittenPlan:
@@ -126,6 +138,8 @@ def _written_plan(
         end_ns=_integer(entry.get("end_ns"), last_ns),
         frame=frame,
         vehicles=tuple(sorted({*cube_rows, *state_rows, *listed})),
+        vehicle_gap_m=_gap(entry.get("vehicle_gap_m")),
+        obstacle_gap_m=_gap(entry.get("obstacle_gap_m")),
     )
     for vehicle_id in plan.vehicles:
         try:
