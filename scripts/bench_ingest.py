@@ -43,8 +43,18 @@ x_m = "x"
 y_m = "y"
 heading_rad = "yaw"
 speed_mps = "v"
+acceleration_mps2 = "a"
+length_m = "length"
+width_m = "width"
 """
 COLUMNS = ("vehicle_id", "time_ns", "x_m", "y_m", "heading_rad", "speed_mps")
+MORE = ("acceleration_mps2", "length_m", "width_m")
+#: All that the messages tell, by both routes.
+TOLD = {
+    "Odometry": COLUMNS,
+    "JSON": (*COLUMNS, *MORE),
+    "OSI": (*COLUMNS, *MORE, "rear_axle_to_centre_m", "role"),
+}
 
 
 def motion(k: int, vehicle: int) -> tuple[int, float, float, float, float]:
@@ -123,7 +133,7 @@ def decoded_rows(path: Path, kind: str) -> Iterator[tuple[Any, ...]]:
             for _, _, message in make_reader(stream).iter_messages():
                 v = json.loads(message.data)
                 time_ns = v["timestamp"]["sec"] * 10**9 + v["timestamp"]["nsec"]
-                yield v["id"], time_ns, v["x"], v["y"], v["yaw"], v["v"]
+                yield v["id"], time_ns, v["x"], v["y"], v["yaw"], v["v"], v["a"], v["length"], v["width"]
         return
     if kind == "Odometry":
         from mcap_ros2.decoder import DecoderFactory
@@ -142,17 +152,22 @@ def decoded_rows(path: Path, kind: str) -> Iterator[tuple[Any, ...]]:
             for moving in m.moving_object:
                 base = moving.base
                 yaw, velocity = base.orientation.yaw, base.velocity
-                speed = velocity.x * math.cos(yaw) + velocity.y * math.sin(yaw)
-                yield str(moving.id.value), time_ns, base.position.x, base.position.y, yaw, speed
+                along, across, size = math.cos(yaw), math.sin(yaw), base.dimension
+                speed = velocity.x * along + velocity.y * across
+                acceleration = base.acceleration.x * along + base.acceleration.y * across
+                rear = -moving.vehicle_attributes.bbcenter_to_rear.x
+                role = "vehicle" if moving.type == 2 and moving.vehicle_classification.type != 9 else "other"
+                place = (base.position.x, base.position.y, yaw, speed, acceleration)
+                yield str(moving.id.value), time_ns, *place, size.length, size.width, rear, role
 
 
 def by_decoders(path: Path, kind: str) -> pl.DataFrame:
     columns = list(zip(*decoded_rows(path, kind), strict=True))
-    return pl.DataFrame(dict(zip(COLUMNS, columns, strict=True))).sort("vehicle_id", "time_ns")
+    return pl.DataFrame(dict(zip(TOLD[kind], columns, strict=True))).sort("vehicle_id", "time_ns")
 
 
-def by_read_log(path: Path, _kind: str) -> pl.DataFrame:
-    return read_log(path, parse_config(CONFIG)).states.select(COLUMNS)
+def by_read_log(path: Path, kind: str) -> pl.DataFrame:
+    return read_log(path, parse_config(CONFIG)).states.select(TOLD[kind])
 
 
 def by_walk(path: Path, _kind: str) -> None:
@@ -188,15 +203,16 @@ def measure(path: Path, kind: str, route: str) -> dict[str, float]:
     return best
 
 
-def difference(path: Path) -> float:
+def difference(path: Path, kind: str) -> float:
     """Largest difference of a number between the two tables; inf where anything else differs."""
     ours, theirs = (pl.read_parquet(path.with_suffix(f".{name}.parquet")) for name in ("read_log", "mcap"))
-    keys = ["vehicle_id", "time_ns"]
+    keys = [name for name in TOLD[kind] if name in ("vehicle_id", "time_ns", "role")]
     if not ours.select(keys).equals(theirs.select(keys)):
         return math.inf
     turn = (ours["heading_rad"] - theirs["heading_rad"]).to_numpy()
     worst = max(abs(math.remainder(value, math.tau)) for value in turn)
-    return max([worst] + [(ours[name] - theirs[name]).abs().max() for name in ("x_m", "y_m", "speed_mps")])
+    numbers = (name for name in TOLD[kind] if name not in (*keys, "heading_rad"))
+    return max([worst] + [(ours[name] - theirs[name]).abs().max() for name in numbers])
 
 
 def main() -> int:
@@ -227,7 +243,7 @@ def main() -> int:
             slow = figures["mcap + decoders"]["seconds"]
             for route, found in figures.items():
                 ratio, speed = slow / found["seconds"], raw / found["seconds"]
-                same = f"{difference(path):.1e}" if route == "read_log" else ""
+                same = f"{difference(path, kind):.1e}" if route == "read_log" else ""
                 name = f"{kind}, {count} {'states' if kind == 'OSI' else 'messages'}"
                 print(
                     f"| {name} | {raw:.0f} | {route} | {found['seconds']:.3f} | {speed:.0f} | {ratio:.1f} |"

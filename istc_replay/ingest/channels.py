@@ -12,6 +12,12 @@ from istc_replay.ingest.wanted import Mapping
 ReferencePoint = Literal["box_centre", "rear_axle", "base_link"]
 Family = Literal["istc", "osi", "odometry", "pose", "tf", "autoware", "scene_update", "location", "fields"]
 
+
+def _xy(target: str, path: str) -> dict[str, str]:
+    """The two axes of a vector: nothing is read of the third."""
+    return {f"{target}.{axis}": f"{path}.{axis}" for axis in "xy"}
+
+
 _STAMPED = {"time": "header.stamp", "frame": "header.frame_id"}
 _FOXGLOVE = {"time": "timestamp", "frame": "frame_id"}
 _OPTIONAL = frozenset({"acceleration_mps2", "length_m", "width_m", "steering_rad", "heading_deg", "velocity"})
@@ -37,18 +43,18 @@ VEHICLE_STATE = Mapping(
 )
 _OSI = {
     "vehicle_id": "id.value",
-    "position": "base.position",
+    **_xy("position", "base.position"),
     "heading_rad": "base.orientation.yaw",
-    "velocity": "base.velocity",
-    "acceleration": "base.acceleration",
+    **_xy("velocity", "base.velocity"),
+    **_xy("acceleration", "base.acceleration"),
     "length_m": "base.dimension.length",
     "width_m": "base.dimension.width",
-    "rear": "vehicle_attributes.bbcenter_to_rear",
-    "front": "vehicle_attributes.bbcenter_to_front",
+    "rear.x": "vehicle_attributes.bbcenter_to_rear.x",
+    "front.x": "vehicle_attributes.bbcenter_to_front.x",
     "type": "type",
     "vehicle_type": "vehicle_classification.type",
 }
-_OSI_OPTIONAL = frozenset(_OSI) - {"vehicle_id", "position"} | {"time", "view_time"}
+_OSI_OPTIONAL = frozenset(_OSI) - {"vehicle_id", "position.x", "position.y"} | {"time", "view_time"}
 GROUND_TRUTH = Mapping({**_OSI, "time": "/timestamp"}, "moving_object", True, _OSI_OPTIONAL)
 SENSOR_VIEW = Mapping(
     {**_OSI, "view_time": "/timestamp", "time": "/global_ground_truth.timestamp"},
@@ -60,17 +66,17 @@ ODOMETRY = Mapping(
     {
         **_STAMPED,
         "vehicle_frame": "child_frame_id",
-        "position": "pose.pose.position",
+        **_xy("position", "pose.pose.position"),
         "orientation": "pose.pose.orientation",
         "speed_mps": "twist.twist.linear.x",
     }
 )
-_POSE = Mapping({**_STAMPED, "position": "pose.position", "orientation": "pose.orientation"})
+_POSE = Mapping({**_STAMPED, **_xy("position", "pose.position"), "orientation": "pose.orientation"})
 _TF = Mapping(
     {
         **_STAMPED,
         "vehicle_frame": "child_frame_id",
-        "position": "transform.translation",
+        **_xy("position", "transform.translation"),
         "orientation": "transform.rotation",
     },
     "transforms",
@@ -79,7 +85,7 @@ _TF = Mapping(
 
 def _autoware(pose: str, twist: str, acceleration: str) -> Mapping:
     kinematics = {
-        "position": f"kinematics.{pose}.pose.position",
+        **_xy("position", f"kinematics.{pose}.pose.position"),
         "orientation": f"kinematics.{pose}.pose.orientation",
         "speed_mps": f"kinematics.{twist}.twist.linear.x",
         "acceleration_mps2": f"kinematics.{acceleration}.accel.linear.x",
@@ -106,15 +112,15 @@ _FOXGLOVE_TF = {
     "time": "timestamp",
     "frame": "parent_frame_id",
     "vehicle_frame": "child_frame_id",
-    "position": "translation",
+    **_xy("position", "translation"),
     "orientation": "rotation",
 }
-_FOXGLOVE_POSE = {"position": "pose.position", "orientation": "pose.orientation"}
+_FOXGLOVE_POSE = {**_xy("position", "pose.position"), "orientation": "pose.orientation"}
 _SCENE_UPDATE = Mapping(
     {
         **_FOXGLOVE,
         "vehicle_id": "id",
-        "position": "cubes.0.pose.position",
+        **_xy("position", "cubes.0.pose.position"),
         "orientation": "cubes.0.pose.orientation",
         "length_m": "cubes.0.size.x",
         "width_m": "cubes.0.size.y",
@@ -181,7 +187,7 @@ FORMATS = (
             {
                 "time": "/timestamp",
                 "frame": "/frame_id",
-                "position": "position",
+                **_xy("position", "position"),
                 "orientation": "orientation",
             },
             "poses",

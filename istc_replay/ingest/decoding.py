@@ -20,7 +20,7 @@ from istc_replay.ingest.scene import SceneParts
 from istc_replay.ingest.walk import LogFile
 
 #: Bytes of messages that are decoded at once: enough that no step is dear, few enough for the caches.
-_BYTES = 4 * 2**20
+_BYTES = 2 * 2**20
 #: More states than this, plus one for every four bytes of the file, are a trap and not a log.
 _STATES_FLOOR = 1_000_000
 #: Schemas that are built for one log.

@@ -32,7 +32,7 @@ class JsonDecoder:
 
     def decode(self, data: Bytes, starts: Ints, ends: Ints) -> Decoded:
         """Decode the payloads that these spans of data hold."""
-        raw = data.tobytes()
+        raw = data.base if isinstance(data.base, bytes) else data.tobytes()
         payloads = [raw[start:end] for start, end in zip(starts.tolist(), ends.tolist(), strict=True)]
         columns = None if self._items else self._fast(payloads)
         if columns is not None:
@@ -63,13 +63,7 @@ class JsonDecoder:
             return None
         if table.height != len(payloads):
             return None
-        columns: dict[str, Column] = {}
-        for target, path in _paths(self._root, first):
-            column = table[path[0]]
-            for name in path[1:]:
-                column = column.struct.field(name)
-            columns[target] = _column_of(column)
-        return columns
+        return {target: _column_of(column) for target, column in _columns(self._root, first, table)}
 
     # --- one by one ----------------------------------------------------------------------------
 
@@ -204,26 +198,27 @@ def _dtype(node: Node, value: Any) -> pl.DataType | None:
     return pl.Int64() if whole else pl.Float64()
 
 
-def _paths(node: Node, value: Any, where: tuple[str, ...] = ()) -> Iterator[tuple[str, tuple[str, ...]]]:
+def _columns(node: Node, value: Any, table: pl.DataFrame) -> Iterator[tuple[str, pl.Series]]:
+    """Give the columns of the targets, by the first payload as the table's schema was made."""
     for name, child in node.children.items():
         inner = value[name]
+        if not isinstance(inner, dict):
+            yield from ((target, table[name]) for target in child.targets)
+            continue
+        parts = table[name].struct.unnest()
         for target in child.targets:
-            if not isinstance(inner, dict):
-                yield target, (*where, name)
-                continue
             for key, plain in inner.items():
                 if _dtype(child, plain) is not None:
-                    yield f"{target}.{key}", (*where, name, key)
-        if isinstance(inner, dict):
-            yield from _paths(child, inner, (*where, name))
+                    yield f"{target}.{key}", parts[key]
+        yield from _columns(child, inner, parts)
 
 
 def _column_of(column: pl.Series) -> Column:
     valid = column.is_not_null().to_numpy() if column.null_count() else None
     if column.dtype == pl.String:
-        texts = column.unique(maintain_order=True).drop_nulls()
-        codes = {text: index for index, text in enumerate(texts)}
-        own = column.replace_strict(codes, default=0, return_dtype=pl.Int64)
-        return Column(own.to_numpy(), valid, list(codes) or [""])
-    filled = column.fill_null(0) if column.dtype == pl.Int64 else column.fill_null(0.0)
-    return Column(filled.to_numpy(), valid)
+        codes: dict[Any, int] = {}
+        own = [codes.setdefault(text or "", len(codes)) for text in column.to_list()]
+        return Column(np.array(own, np.int64), valid, list(codes))
+    if valid is not None:
+        column = column.fill_null(0 if column.dtype == pl.Int64 else 0.0)
+    return Column(column.to_numpy(), valid)

@@ -21,7 +21,7 @@ from istc_replay.ingest.meaning import ROLES, Roles, whole
 from istc_replay.ingest.payload import PayloadError
 from istc_replay.ingest.problems import Problems
 from istc_replay.ingest.records import Schema
-from istc_replay.ingest.scan import Spans, scan
+from istc_replay.ingest.scan import Spans
 from istc_replay.ingest.scene import SceneParts
 
 #: Longest descriptor that is built [bytes]; OSI's own has 0.8 MB.
@@ -78,23 +78,19 @@ class StandingObjects:
 
     def __init__(self, type_: Any, parts: SceneParts, problems: Problems) -> None:
         descriptor = type_.DESCRIPTOR
-        self._way: list[int] = []
         if "global_ground_truth" in descriptor.fields_by_name:
-            self._way.append(descriptor.fields_by_name["global_ground_truth"].number)
             descriptor = descriptor.fields_by_name["global_ground_truth"].message_type
         field = descriptor.fields_by_name.get("stationary_object")
-        self._type = None if field is None else message_factory.GetMessageClass(field.message_type)
-        self._way += [] if field is None else [field.number]
+        self._type = None
+        if field is not None and field.message_type is not None:
+            self._type = message_factory.GetMessageClass(field.message_type)
         self._parts, self._problems = parts, problems
         self._met: set[bytes] = set()
 
-    def read(self, data: Bytes, starts: Ints, ends: Ints) -> None:
-        """Read the stationary objects of the payloads in these spans."""
+    def read(self, data: Bytes, spans: Spans) -> None:
+        """Read the stationary objects in these spans."""
         if self._type is None:
             return
-        spans = Spans(np.arange(len(starts)), starts, starts, ends)
-        for number in self._way:
-            spans = scan(data, spans, {number})[0][number]
         for start, end in zip(spans.starts.tolist(), spans.ends.tolist(), strict=True):
             raw = data[start:end].tobytes()
             # They are told again in every message.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -61,6 +62,7 @@ class ProtobufDecoder:
         self._type = type_
         self._mapping = mapping
         self._zero = mapping.absent_is_zero
+        self._watched: tuple[int, Callable[[Bytes, Spans], None]] | None = None
         self.kinds: dict[str, str] = {}
         root = tree(mapping)
         self._way: list[int] = []
@@ -146,6 +148,14 @@ class ProtobufDecoder:
                 bad.append((row, error))
         return joined_parts(parts, bad, self.kinds)
 
+    def watch(self, name: str, take_in: Callable[[Bytes, Spans], None]) -> None:
+        """Hand over the spans of another repeated field, one beside the items."""
+        descriptor = self._type.DESCRIPTOR
+        for part in self._mapping.items.split(".")[:-1]:
+            descriptor = descriptor.fields_by_name[part].message_type
+        if name in descriptor.fields_by_name:
+            self._watched = (descriptor.fields_by_name[name].number, take_in)
+
     def _plain(self, payload: bytes) -> tuple[Bytes, Ints, Ints]:
         name = self._type.DESCRIPTOR.full_name
         try:
@@ -164,7 +174,10 @@ class ProtobufDecoder:
         spans = Spans(np.arange(len(starts)), starts, starts, ends)
         for depth, number in enumerate(self._way):
             wanted = self._header.get(depth, {})
-            found, broken = scan(data, spans, {number, *wanted})
+            watched = self._watched if depth == len(self._way) - 1 else None
+            found, broken = scan(data, spans, {number, *wanted, *([watched[0]] if watched else [])})
+            if watched:
+                watched[1](data, found[watched[0]])
             bad |= {row: PayloadError("a field of it is damaged") for row in broken.tolist()}
             for other, decoder in wanted.items():
                 header |= _header(data, found[other], decoder, len(starts), bad)

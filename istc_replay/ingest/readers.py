@@ -44,13 +44,10 @@ class Reader:
     decoder: PayloadDecoder
     meaning: Meaning
     prepare: Callable[[Decoded], Decoded] | None = None
-    standing: StandingObjects | None = None
 
     def decode(self, data: Bytes, starts: Ints, ends: Ints) -> Decoded:
         """Decode payloads, and make of their columns what the meaning needs."""
         decoded = self.decoder.decode(data, starts, ends)
-        if self.standing is not None:
-            self.standing.read(data, starts, ends)
         return decoded if self.prepare is None else self.prepare(decoded)
 
 
@@ -82,7 +79,8 @@ class Readers:
             decoder = ProtobufDecoder(type_, format_.mapping)
             if format_.family == "osi":
                 meaning.zero_is_unset, meaning.roles = _SIZES, roles_by_number(type_, format_.mapping.items)
-                return Reader(decoder, meaning, _osi, StandingObjects(type_, self._parts, self._problems))
+                decoder.watch("stationary_object", StandingObjects(type_, self._parts, self._problems).read)
+                return Reader(decoder, meaning, _osi)
             if format_.family == "scene_update":
                 meaning.zero_is_unset = _SIZES
                 return Reader(decoder, meaning, _placed)

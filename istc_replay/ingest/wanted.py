@@ -63,7 +63,7 @@ def check_found(mapping: Mapping, kinds: Iterable[str]) -> None:
     PayloadError
         If a path leads to something else, such as an array.
     """
-    found = {name.partition(".")[0] for name in kinds}
+    found = {part for name in kinds for part in (name, name.partition(".")[0])}
     for target, path in mapping.fields.items():
         if target not in found and target not in mapping.optional:
             raise PayloadError(f"{path!r} is neither a plain field nor a message of plain fields", "schema")
