@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import mmap
-import struct
 from bisect import bisect_right
 from collections.abc import Callable, Generator, Iterator
 from pathlib import Path
@@ -19,15 +18,16 @@ from numpy.typing import NDArray
 
 from istc_replay.datatypes import Problem
 from istc_replay.errors import LogError
-from istc_replay.ingest.batches import Batch, heads, rows
+from istc_replay.ingest.batches import Batch, Ints, heads, rows
+from istc_replay.ingest.chunk import chunk_records, indexed_positions
 from istc_replay.ingest.definitions import Definitions
+from istc_replay.ingest.extras import Extras
 from istc_replay.ingest.inflate import CHUNK_LIMIT, InflateError, Inflater
-from istc_replay.ingest.problems import Problems, quoted
+from istc_replay.ingest.problems import Problems
 from istc_replay.ingest.records import (
     FOOTER,
     MAGIC,
     MESSAGE,
-    PRIVATE,
     RECORD,
     Attachment,
     Buffer,
@@ -37,23 +37,14 @@ from istc_replay.ingest.records import (
     Message,
     Metadata,
     Opcode,
-    Statistics,
-    crc_of,
-    parse_attachment,
     parse_chunk,
-    parse_metadata,
-    parse_statistics,
 )
 from istc_replay.ingest.summary import Summary, read_summary
 
-#: Metadata and attachments held at once [bytes, records].
-_HELD_BYTES = 128 * 2**20
-_HELD_RECORDS = 10_000
 #: Messages outside of chunks that make one batch [records, bytes].
 _BATCH_RECORDS = 16_384
 _BATCH_BYTES = 16 * 2**20
 _COLUMNS = ("channel", "sequence", "log_time", "publish_time")
-_SKIPPED = frozenset(Opcode) - {Opcode.FOOTER}
 
 Wanted = Callable[[Channel], bool]
 
@@ -98,12 +89,10 @@ class LogFile:
         Bytes of the file.
     counts : dict[Channel, int]
         Every channel met, and the number of its messages, wanted or not.
-    message_count, chunk_count, attachment_count, metadata_count : int
+    message_count, chunk_count : int
         Whole records met.
     start_ns, end_ns : int or None
         The span of the messages' log times that fit int64.
-    attachments, metadata : list
-        The first 10 000 of each; `attachment_data` reads an attachment.
     """
 
     def __init__(self, buffer: Buffer, name: str) -> None:
@@ -122,17 +111,33 @@ class LogFile:
         self.counts: dict[Channel, int] = {}
         self.start_ns: int | None = None
         self.end_ns: int | None = None
-        self.message_count = self.chunk_count = self.attachment_count = self.metadata_count = 0
-        self.attachments: list[Attachment] = []
-        self.metadata: list[Metadata] = []
+        self.message_count = self.chunk_count = 0
         self._problems = Problems()
+        self._extras = Extras(self._buffer, self._problems)
         self._summary = Summary()
-        self._statistics: dict[int, Statistics] = {}
-        self._held = 0
         self._inflater = Inflater(self.size, self._problems)
         self._wanted: dict[Channel, bool] = {}
         self._definitions = Definitions(self._problems, self._summary)
-        self._begin, self._data_over = 0, False
+
+    @property
+    def attachment_count(self) -> int:
+        """Whole attachments met."""
+        return self._extras.attachment_count
+
+    @property
+    def metadata_count(self) -> int:
+        """Whole metadata records met."""
+        return self._extras.metadata_count
+
+    @property
+    def attachments(self) -> list[Attachment]:
+        """The first 10 000 attachments; `attachment_data` reads one."""
+        return self._extras.attachments
+
+    @property
+    def metadata(self) -> list[Metadata]:
+        """The first 10 000 metadata records."""
+        return self._extras.metadata
 
     @property
     def complete(self) -> bool:
@@ -183,7 +188,7 @@ class LogFile:
                 self.counts.setdefault(channel, 0)
             # A file joined to the end of another has its own channels.
             self._definitions = Definitions(self._problems, Summary())
-        self._compare_counts()
+        self._extras.compare(self.message_count, self.chunk_count)
 
     def _read_summary(self) -> None:
         try:
@@ -194,23 +199,11 @@ class LogFile:
                 "summary_damaged", f"{error}; the summary is not used", self.size - len(MAGIC) - FOOTER.size
             )
 
-    def _compare_counts(self) -> None:
-        if not self._statistics:
-            return
-        found = (self.message_count, self.attachment_count, self.metadata_count, self.chunk_count)
-        names = ("messages", "attachments", "metadata records", "chunks")
-        # Files joined end to end have a summary each.
-        parts = [(s.messages, s.attachments, s.metadata, s.chunks) for s in self._statistics.values()]
-        for name, count, stated in zip(names, found, map(sum, zip(*parts, strict=True)), strict=True):
-            if count != stated:
-                detail = f"the summary states {stated} {name}, {count} were found"
-                self._problems.lose("statistics", detail)
-
     # --- the walk ----------------------------------------------------------------------------
 
     def _segment(self, begin: int) -> Generator[Batch, None, int | None]:
         """Walk one MCAP file; returns where the next begins, if another is joined to its end."""
-        self._begin, self._data_over = begin, False
+        self._extras.begin(begin)
         position: int | None = begin + len(MAGIC)
         loose: list[int] = []  # messages outside of chunks
         while position is not None:
@@ -268,7 +261,7 @@ class LogFile:
 
     def _after(self, end: int) -> int | None:
         """Judge what follows a footer; returns where another file begins there."""
-        if not self._data_over:
+        if not self._extras.data_over:
             self._problems.add("no_data_end", "the data section is not closed by a data end record", end)
         rest = end + len(MAGIC)
         if self.size < rest:
@@ -299,60 +292,32 @@ class LogFile:
             self._problems.lose("chunk_damaged", f"{error}; the chunk is left out", offset)
             return
         try:
-            yield from self._chunk_records(data, offset)
+            hint = indexed_positions(self._buffer, end, self.size, len(data))
+            for opcode, places in chunk_records(data, hint):
+                if opcode == Opcode.MESSAGE:
+                    yield from self._batch(data, places, offset)
+                elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                    self._definitions.declare(opcode, Fields(data, *places), offset)
+                else:
+                    detail = f"record kind {opcode} inside a chunk is not read"
+                    self._problems.add("unexpected_record", detail, offset)
         except MalformedRecordError as error:
             self._problems.lose("chunk_damaged", f"{error}; the rest of the chunk is left out", offset)
 
-    def _chunk_records(self, data: bytes, offset: int) -> Iterator[Batch]:
-        position, size, messages = 0, len(data), []
-        unpack, kind = RECORD.unpack_from, int(Opcode.MESSAGE)
-        damage = ""
-        while position < size:
-            try:
-                opcode, length = unpack(data, position)
-            except struct.error:
-                damage = "a chunk ends inside the head of a record"
-                break
-            start = position + 9
-            end = start + length
-            if end > size or not opcode:
-                damage = (
-                    f"a record of kind {opcode} and {length} bytes where its chunk has {size - start} left"
-                )
-                break
-            if opcode == kind:
-                messages.append(position)
-            else:
-                if messages:  # what is declared holds for the messages behind it
-                    yield from self._batch(data, messages, offset)
-                    messages = []
-                self._chunk_other(opcode, Fields(data, start, end), offset)
-            position = end
-        if messages:
-            yield from self._batch(data, messages, offset)
-        if damage:
-            raise MalformedRecordError(damage)
-
-    def _chunk_other(self, opcode: int, fields: Fields, offset: int) -> None:
-        if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            self._definitions.declare(opcode, fields, offset)
-        else:
-            detail = f"record kind {opcode} inside a chunk is not read"
-            self._problems.add("unexpected_record", detail, offset)
-
-    def _batch(self, buffer: Buffer, messages: list[int], offset: int | None) -> Iterator[Batch]:
+    def _batch(self, buffer: Buffer, messages: list[int] | Ints, offset: int | None) -> Iterator[Batch]:
         """Count the message records at these positions and give the wanted ones.
 
         offset is the chunk's; None where the positions are those in the file.
         """
         data = np.frombuffer(buffer, np.uint8)
-        positions = np.array(messages, np.int64)
+        positions = np.asarray(messages, np.int64)
         lengths = rows(data, positions + 1, 8).view("<u8").reshape(-1)
         whole = (lengths >= MESSAGE.size) & (lengths <= MESSAGE.size + CHUNK_LIMIT)
         if not whole.all():
             for row in np.flatnonzero(~whole).tolist():
                 detail = f"a message record of {lengths[row]} bytes"
-                self._problems.lose("record_damaged", detail, messages[row] if offset is None else offset)
+                place = int(positions[row]) if offset is None else offset
+                self._problems.lose("record_damaged", detail, place)
             positions, lengths = positions[whole], lengths[whole]
             if not len(positions):
                 return
@@ -401,48 +366,10 @@ class LogFile:
 
     def _other(self, opcode: int, start: int, end: int, offset: int) -> None:
         fields = Fields(self._buffer, start, end)
-        try:
-            if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-                if not self._data_over:  # after that, the summary says it again
-                    self._definitions.declare(opcode, fields, offset)
-            elif opcode == Opcode.ATTACHMENT:
-                self._attachment(fields, offset)
-            elif opcode == Opcode.METADATA:
-                self._metadata(fields, offset)
-            elif opcode == Opcode.STATISTICS:
-                self._statistics[self._begin] = parse_statistics(fields)
-            elif opcode == Opcode.DATA_END:
-                self._data_end(fields.uint(4), offset)
-            elif opcode < PRIVATE and opcode not in _SKIPPED:
-                self._problems.add("unknown_record", f"a record of kind {opcode} is not read", offset)
-        except MalformedRecordError as error:
-            self._problems.lose("record_damaged", f"a record of kind {opcode}: {error}", offset)
-
-    def _attachment(self, fields: Fields, offset: int) -> None:
-        start = fields.position
-        attachment, crc = parse_attachment(fields)
-        self.attachment_count += 1
-        if crc and crc_of(self._buffer, start, attachment.start + attachment.size) != crc:
-            detail = f"attachment {quoted(attachment.name)} does not match its checksum; it is left out"
-            self._problems.lose("attachment_crc", detail, offset)
-        elif self._may_hold(len(self.attachments), 0, offset):
-            self.attachments.append(attachment)
-
-    def _metadata(self, fields: Fields, offset: int) -> None:
-        size = fields.end - fields.position
-        self.metadata_count += 1
-        if self._may_hold(len(self.metadata), size, offset):
-            self._held += size
-            self.metadata.append(parse_metadata(fields))
-
-    def _may_hold(self, held: int, size: int, offset: int) -> bool:
-        fits = held < _HELD_RECORDS and self._held + size <= _HELD_BYTES
-        if not fits:
-            self._problems.lose("too_many_records", "more attachments or metadata than are held", offset)
-        return fits
-
-    def _data_end(self, crc: int, offset: int) -> None:
-        if crc and not self._data_over and crc_of(self._buffer, self._begin, offset) != crc:
-            detail = f"bytes {self._begin} to {offset} do not match their checksum"
-            self._problems.lose("data_crc", detail, offset)
-        self._data_over = True
+        if opcode not in (Opcode.SCHEMA, Opcode.CHANNEL):
+            self._extras.read(opcode, fields, offset)
+        elif not self._extras.data_over:  # after that, the summary says it again
+            try:
+                self._definitions.declare(opcode, fields, offset)
+            except MalformedRecordError as error:
+                self._problems.lose("record_damaged", f"a record of kind {opcode}: {error}", offset)
