@@ -10,17 +10,15 @@ import json
 import sys
 import traceback
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, TypeVar
+from typing import TYPE_CHECKING, Literal, TypeVar
 
 import click
 
-from istc_replay import __version__
+from istc_replay import __version__, tell
 from istc_replay.errors import IstcReplayError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from istc_replay.datatypes import Log
+    from collections.abc import Iterable, Sequence
 
 _INTERNAL_ERROR = 4
 _INTERRUPTED = 130
@@ -62,14 +60,13 @@ def main(arguments: list[str] | None = None) -> None:
 
 
 def _fail(message: str, code: int) -> None:
-    click.echo(f"istc-replay: {_line(message)}", err=True)
+    click.echo(f"istc-replay: {tell.line(message)}", err=True)
     sys.exit(code)
 
 
-def _line(text: object) -> str:
-    """One printable line: control characters and line breaks shown, not obeyed."""
-    shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in str(text))
-    return shown if len(shown) <= 2000 else shown[:2000] + " ..."
+def _print(lines: Iterable[str]) -> None:
+    for text in lines:
+        click.echo(text)
 
 
 def _chosen(formats: str, known: Sequence[_Format]) -> list[_Format]:
@@ -118,10 +115,10 @@ def run(logs: tuple[Path, ...], config_path: Path | None, output: Path, view: bo
                 # Of many logs, one that fails does not stop the others.
                 if len(folders) == 1:
                     raise
-                click.echo(f"istc-replay: {_line(error)}", err=True)
+                click.echo(f"istc-replay: {tell.line(error)}", err=True)
                 worst = max(worst, error.exit_code)
                 continue
-        _print_run(done.summary, folder)
+        _print(tell.run_lines(done.summary, folder))
         worst = max(worst, done.exit_code)
     if view:
         for folder in folders.values():
@@ -133,7 +130,7 @@ class _Progress:
     """One line on a terminal's stderr that tells what is being done; silent elsewhere."""
 
     def __init__(self, name: str) -> None:
-        self._name = _line(name)
+        self._name = tell.line(name)
         self._shown = sys.stderr.isatty()
 
     def __enter__(self) -> _Progress:
@@ -147,46 +144,6 @@ class _Progress:
         if self._shown:
             share = f" window {min(done + 1, total)} of {total}:" if total > 1 else ""
             click.echo(f"\r\x1b[K{self._name}:{share} {what}", nl=False, err=True)
-
-
-def _print_run(summary: Mapping[str, Any], folder: Path) -> None:
-    totals, source = summary["totals"], summary["input"]
-    name = _line(source["path"])
-    click.echo(
-        f"{name}: {totals['vehicles_certified']} of {totals['vehicles_plannable']} plannable "
-        f"vehicles certified ({totals['vehicles_present']} present), "
-        f"{totals['windows_full']} of {totals['windows']} windows in full"
-    )
-    for problem in source["problems"]:
-        click.echo(f"  log: {_line(problem['code'])}: {_line(problem['detail'])}")
-    for window in summary["windows"]:
-        _print_window(window)
-    total_s = sum(summary["stages"].values())
-    click.echo(f"  {total_s:.1f} s; results in {_line(folder)}")
-
-
-def _print_window(window: Mapping[str, Any]) -> None:
-    corridors = window["corridors"]
-    reason = f": {_line(window['reason'])}" if window["reason"] else ""
-    click.echo(f"  window {window['index']}: {window['status']}{reason}")
-    if corridors["objective"] is not None:
-        bound = "none" if corridors["bound"] is None else f"{corridors['bound']:.4f}"
-        gap = "not known" if corridors["gap"] is None else f"{corridors['gap']:.1e}"
-        click.echo(
-            f"    corridors {corridors['status']}: objective {corridors['objective']:.4f}, bound {bound}, "
-            f"gap {gap}, found by {corridors['found_by']}"
-        )
-    for exclusion in window["exclusions"]:
-        click.echo(f"    left out: {_line(exclusion['vehicle_id'])}: {_line(exclusion['detail'])}")
-    recorded = window["recorded"]
-    if recorded is not None:
-        pair = " and ".join(_line(vehicle) for vehicle in recorded["pair"])
-        least = recorded["min_separation_m"]
-        what = f"overlap by {-least:.2f} m" if least < 0 else f"come within {least:.2f} m"
-        click.echo(f"    recorded: {pair} {what} at {recorded['time_s']:.1f} s")
-    for check in window["certificate"]["checks"]:
-        margin = "" if check["margin"] is None else f" {check['margin']:.4g} {check['unit']}"
-        click.echo(f"    {check['check']:<22}{check['verdict']:<15}{margin}")
 
 
 @cli.command()
@@ -203,85 +160,12 @@ def info(log: Path, as_json: bool, config_path: Path | None) -> int:
     from istc_replay.ingest.log import read_log
 
     read = read_log(log, load_config(config_path))
-    facts = _facts(read)
+    facts = tell.log_facts(read)
     if as_json:
         click.echo(json.dumps(facts, indent=1))
     else:
-        _print_info(facts)
+        _print(tell.info_lines(facts))
     return 0 if read.complete else 3
-
-
-def _facts(log: Log) -> dict[str, Any]:
-    import polars as pl
-
-    vehicles = (
-        log.states.group_by("vehicle_id")
-        .agg(
-            pl.len().alias("states"),
-            pl.col("time_ns").min().alias("first_ns"),
-            pl.col("time_ns").max().alias("last_ns"),
-            pl.col("length_m").drop_nulls().first(),
-            pl.col("width_m").drop_nulls().first(),
-        )
-        .sort("vehicle_id")
-        .rename({"vehicle_id": "id"})
-    )
-    return {
-        "path": log.path,
-        "complete": log.complete,
-        "messages": log.messages,
-        "attachments": log.attachments,
-        "metadata": log.metadata,
-        "chunks": log.chunks,
-        "start_ns": log.start_ns,
-        "end_ns": log.end_ns,
-        "channels": [
-            {
-                "topic": c.topic,
-                "schema": c.schema,
-                "schema_encoding": c.schema_encoding,
-                "message_encoding": c.message_encoding,
-                "messages": c.messages,
-                "understood_as": c.understood_as,
-            }
-            for c in log.channels
-        ],
-        "vehicles": vehicles.to_dicts(),
-        "problems": [{"code": p.code, "detail": p.detail, "offset": p.offset} for p in log.problems],
-    }
-
-
-def _print_info(facts: Mapping[str, Any]) -> None:
-    whole = "complete" if facts["complete"] else "INCOMPLETE"
-    click.echo(f"{_line(facts['path'])}: {whole}, {facts['messages']} messages in {facts['chunks']} chunks")
-    if facts["start_ns"] is not None:
-        click.echo(f"span: {(facts['end_ns'] - facts['start_ns']) / 1e9:.3f} s from {facts['start_ns']} ns")
-    rows = [["topic", "schema", "encoding", "messages", "read as"]]
-    for c in facts["channels"]:
-        kind = c["understood_as"] or "not read"
-        rows.append([c["topic"], c["schema"], c["message_encoding"], str(c["messages"]), kind])
-    _print_table(rows)
-    rows = [["vehicle", "states", "from s", "to s", "rate Hz", "length m", "width m"]]
-    for v in facts["vehicles"]:
-        first, last = ((v[key] - facts["vehicles"][0]["first_ns"]) / 1e9 for key in ("first_ns", "last_ns"))
-        rate = f"{(v['states'] - 1) / (last - first):.1f}" if last > first else "-"
-        size = ["-" if v[key] is None else f"{v[key]:.2f}" for key in ("length_m", "width_m")]
-        rows.append([v["id"], str(v["states"]), f"{first:.3f}", f"{last:.3f}", rate, *size])
-    _print_table(rows)
-    for problem in facts["problems"]:
-        where = "" if problem["offset"] is None else f" at byte {problem['offset']}"
-        click.echo(f"problem: {_line(problem['code'])}{where}: {_line(problem['detail'])}")
-
-
-def _print_table(rows: list[list[str]]) -> None:
-    if len(rows) == 1:
-        return
-    shown = [[_line(cell)[:60] for cell in row] for row in rows]
-    widths = [max(len(row[column]) for row in shown) for column in range(len(shown[0]))]
-    for row in shown:
-        click.echo(
-            "  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-        )
 
 
 @cli.command()
@@ -303,7 +187,7 @@ def export(source: Path, output: Path, formats: str, config_path: Path | None) -
     chosen = _chosen(formats, _TABLE_FORMATS)
     complete, files = export_tables(source, output, chosen, load_config(config_path))
     for file in files:
-        click.echo(_line(file))
+        click.echo(tell.line(file))
     return 0 if complete else 3
 
 
@@ -321,7 +205,7 @@ def sample(scene: str, out: Path) -> None:
     from istc_replay.pipeline import write_sample
 
     write_sample(scene, out)
-    click.echo(_line(out))
+    click.echo(tell.line(out))
 
 
 @cli.command()
@@ -355,7 +239,7 @@ def figures(result: Path, output: Path, formats: str) -> None:
     from istc_replay.pipeline import write_figures
 
     for file in write_figures(result, output, _chosen(formats, _FIGURE_FORMATS)):
-        click.echo(_line(file))
+        click.echo(tell.line(file))
 
 
 @cli.command()
@@ -403,27 +287,16 @@ def bench(
                 for name in names
                 if name.startswith("dense")
             ]
-            _print_robustness(found, as_json)
+            _print([json.dumps({"perturbed": found}, indent=1)] if as_json else tell.robustness_lines(found))
             return 0 if all(f["certified_and_arrived"] == f["perturbed"] for f in found) else 4
         rows = measuring.bench(names, config, runs, told)
     if as_json:
         click.echo(json.dumps({"rows": [asdict(row) for row in rows], "others": others}, indent=1))
     else:
-        _print_table(measuring.table(rows, others))
+        _print(tell.table_lines(measuring.table(rows, others)))
         for source in others["sources"].values():
-            click.echo(f"  {_line(source)}")
+            click.echo(f"  {tell.line(source)}")
     return 0 if all(row.certified and row.arrived for row in rows) else 4
-
-
-def _print_robustness(found: list[dict[str, Any]], as_json: bool) -> None:
-    if as_json:
-        click.echo(json.dumps({"perturbed": found}, indent=1))
-        return
-    for scene in found:
-        good, count = scene["certified_and_arrived"], scene["perturbed"]
-        click.echo(f"{scene['name']}: {good} of {count} perturbed copies certified and arrived")
-        for miss in scene["misses"]:
-            click.echo(f"  seed {miss['seed']}: {_line(miss['reason'])}")
 
 
 @cli.command()
@@ -441,7 +314,7 @@ def view(result: Path, save: Path | None) -> None:
     from istc_replay.export.rerun_view import save_view
 
     save_view(result, save)
-    click.echo(_line(save))
+    click.echo(tell.line(save))
 
 
 def _show(result: Path) -> None:

@@ -213,7 +213,7 @@ def test_view_without_a_screen_says_what_to_do(
 # --- bad input -------------------------------------------------------------------------------
 
 
-def failed(done: subprocess.CompletedProcess[str], code: int, *words: str) -> None:
+def expect_failure(done: subprocess.CompletedProcess[str], code: int, *words: str) -> None:
     """One line on stderr that says so, the right exit code, and no traceback."""
     assert done.returncode == code, (done.stdout, done.stderr)
     lines = done.stderr.strip().splitlines()
@@ -223,45 +223,45 @@ def failed(done: subprocess.CompletedProcess[str], code: int, *words: str) -> No
 
 
 def test_a_missing_log_is_one_line(tmp_path: Path) -> None:
-    failed(call("run", tmp_path / "none.mcap", "-o", tmp_path), 3, "none.mcap", "no such file")
+    expect_failure(call("run", tmp_path / "none.mcap", "-o", tmp_path), 3, "none.mcap", "no such file")
 
 
 def test_a_file_that_is_no_mcap_is_one_line(tmp_path: Path) -> None:
     text = tmp_path / "text.mcap"
     text.write_text("hello\n")
-    failed(call("run", text, "-o", tmp_path / "out"), 3, "text.mcap", "not an MCAP")
+    expect_failure(call("run", text, "-o", tmp_path / "out"), 3, "text.mcap", "not an MCAP")
 
 
 def test_an_unknown_config_key_names_the_known_ones(tmp_path: Path) -> None:
     config = tmp_path / "c.toml"
     config.write_text("[corridors]\narea_wait = 1\n")
-    failed(call("run", TURN_FIRST, "-c", config, "-o", tmp_path), 2, "corridors.area_wait", "area_weight")
+    expect_failure(call("run", TURN_FIRST, "-c", config, "-o", tmp_path), 2, "corridors.area_wait", "area_weight")
     config.write_text('[corridors]\narea_weight = "much"\n')
-    failed(call("config", config), 2, "corridors.area_weight", "'much'")
+    expect_failure(call("config", config), 2, "corridors.area_weight", "'much'")
 
 
 def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
-    failed(call("run", TURN_FIRST, "-o", tmp_path / "file" / "out"), 2, "cannot be written")
+    expect_failure(call("run", TURN_FIRST, "-o", tmp_path / "file" / "out"), 2, "cannot be written")
 
 
 def test_two_logs_for_one_folder_are_refused(tmp_path: Path) -> None:
     copy = tmp_path / TURN_FIRST.name
     copy.write_bytes(TURN_FIRST.read_bytes())
-    failed(call("run", TURN_FIRST, copy, "-o", tmp_path), 2, "another log writes to")
+    expect_failure(call("run", TURN_FIRST, copy, "-o", tmp_path), 2, "another log writes to")
 
 
 def test_an_unknown_sample_names_the_known_ones(tmp_path: Path) -> None:
-    failed(call("sample", "nowhere", tmp_path / "x.mcap"), 2, "nowhere", "intersection_turn_first")
-    failed(call("sample", str(tmp_path / "none.json"), tmp_path / "x.mcap"), 3, "none.json")
+    expect_failure(call("sample", "nowhere", tmp_path / "x.mcap"), 2, "nowhere", "intersection_turn_first")
+    expect_failure(call("sample", str(tmp_path / "none.json"), tmp_path / "x.mcap"), 3, "none.json")
 
 
 def test_an_unknown_table_format_is_refused(tmp_path: Path) -> None:
-    failed(call("export", TURN_FIRST, "-o", tmp_path, "--format", "xls"), 2, "xls", "parquet")
+    expect_failure(call("export", TURN_FIRST, "-o", tmp_path, "--format", "xls"), 2, "xls", "parquet")
 
 
 def test_a_log_is_no_result(tmp_path: Path) -> None:
-    failed(call("view", TURN_FIRST, "--save", tmp_path / "v.rrd"), 3, "not a result")
+    expect_failure(call("view", TURN_FIRST, "--save", tmp_path / "v.rrd"), 3, "not a result")
 
 
 def test_a_truncated_log_is_replayed_as_far_as_it_goes(tmp_path: Path) -> None:
@@ -375,7 +375,7 @@ def test_a_log_without_vehicles_names_its_schemas(tmp_path: Path) -> None:
         channel = writer.register_channel("/imu", "cdr", schema)
         writer.add_message(channel, 0, b"\x00\x01\x00\x00" + b"\x00" * 8, 0)
         writer.finish()
-    failed(call("run", log, "-o", tmp_path / "out"), 3, "no vehicle states", "sensor_msgs/msg/Imu")
+    expect_failure(call("run", log, "-o", tmp_path / "out"), 3, "no vehicle states", "sensor_msgs/msg/Imu")
 
 
 def test_one_vehicle_is_planned_alone(tmp_path: Path) -> None:

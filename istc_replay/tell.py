@@ -1,0 +1,143 @@
+"""What the command line tells: lines of text made of plain values, each safe to print."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping, Sequence
+    from pathlib import Path
+
+    from istc_replay.datatypes import Log
+
+_LINE_LIMIT = 2000
+
+
+def line(text: object) -> str:
+    """One printable line: control characters and line breaks shown, not obeyed."""
+    shown = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in str(text))
+    return shown if len(shown) <= _LINE_LIMIT else shown[:_LINE_LIMIT] + " ..."
+
+
+def run_lines(summary: Mapping[str, Any], folder: Path) -> Iterator[str]:
+    """Tell what a replay found, window by window."""
+    totals, source = summary["totals"], summary["input"]
+    name = line(source["path"])
+    yield (
+        f"{name}: {totals['vehicles_certified']} of {totals['vehicles_plannable']} plannable "
+        f"vehicles certified ({totals['vehicles_present']} present), "
+        f"{totals['windows_full']} of {totals['windows']} windows in full"
+    )
+    for problem in source["problems"]:
+        yield f"  log: {line(problem['code'])}: {line(problem['detail'])}"
+    for window in summary["windows"]:
+        yield from _window_lines(window)
+    total_s = sum(summary["stages"].values())
+    yield f"  {total_s:.1f} s; results in {line(folder)}"
+
+
+def _window_lines(window: Mapping[str, Any]) -> Iterator[str]:
+    corridors = window["corridors"]
+    reason = f": {line(window['reason'])}" if window["reason"] else ""
+    yield f"  window {window['index']}: {window['status']}{reason}"
+    if corridors["objective"] is not None:
+        bound = "none" if corridors["bound"] is None else f"{corridors['bound']:.4f}"
+        gap = "not known" if corridors["gap"] is None else f"{corridors['gap']:.1e}"
+        yield (
+            f"    corridors {corridors['status']}: objective {corridors['objective']:.4f}, bound {bound}, "
+            f"gap {gap}, found by {corridors['found_by']}"
+        )
+    for exclusion in window["exclusions"]:
+        yield f"    left out: {line(exclusion['vehicle_id'])}: {line(exclusion['detail'])}"
+    recorded = window["recorded"]
+    if recorded is not None:
+        pair = " and ".join(line(vehicle) for vehicle in recorded["pair"])
+        least = recorded["min_separation_m"]
+        what = f"overlap by {-least:.2f} m" if least < 0 else f"come within {least:.2f} m"
+        yield f"    recorded: {pair} {what} at {recorded['time_s']:.1f} s"
+    for check in window["certificate"]["checks"]:
+        margin = "" if check["margin"] is None else f" {check['margin']:.4g} {check['unit']}"
+        yield f"    {check['check']:<22}{check['verdict']:<15}{margin}"
+
+
+def log_facts(log: Log) -> dict[str, Any]:
+    """What a log holds, as `info --json` tells it."""
+    import polars as pl
+
+    vehicles = (
+        log.states.group_by("vehicle_id")
+        .agg(
+            pl.len().alias("states"),
+            pl.col("time_ns").min().alias("first_ns"),
+            pl.col("time_ns").max().alias("last_ns"),
+            pl.col("length_m").drop_nulls().first(),
+            pl.col("width_m").drop_nulls().first(),
+        )
+        .sort("vehicle_id")
+        .rename({"vehicle_id": "id"})
+    )
+    return {
+        "path": log.path,
+        "complete": log.complete,
+        "messages": log.messages,
+        "attachments": log.attachments,
+        "metadata": log.metadata,
+        "chunks": log.chunks,
+        "start_ns": log.start_ns,
+        "end_ns": log.end_ns,
+        "channels": [
+            {
+                "topic": c.topic,
+                "schema": c.schema,
+                "schema_encoding": c.schema_encoding,
+                "message_encoding": c.message_encoding,
+                "messages": c.messages,
+                "understood_as": c.understood_as,
+            }
+            for c in log.channels
+        ],
+        "vehicles": vehicles.to_dicts(),
+        "problems": [{"code": p.code, "detail": p.detail, "offset": p.offset} for p in log.problems],
+    }
+
+
+def info_lines(facts: Mapping[str, Any]) -> Iterator[str]:
+    """Tell what a log holds."""
+    whole = "complete" if facts["complete"] else "INCOMPLETE"
+    yield f"{line(facts['path'])}: {whole}, {facts['messages']} messages in {facts['chunks']} chunks"
+    if facts["start_ns"] is not None:
+        yield f"span: {(facts['end_ns'] - facts['start_ns']) / 1e9:.3f} s from {facts['start_ns']} ns"
+    rows = [["topic", "schema", "encoding", "messages", "read as"]]
+    for c in facts["channels"]:
+        kind = c["understood_as"] or "not read"
+        rows.append([c["topic"], c["schema"], c["message_encoding"], str(c["messages"]), kind])
+    yield from table_lines(rows)
+    rows = [["vehicle", "states", "from s", "to s", "rate Hz", "length m", "width m"]]
+    for v in facts["vehicles"]:
+        first, last = ((v[key] - facts["vehicles"][0]["first_ns"]) / 1e9 for key in ("first_ns", "last_ns"))
+        rate = f"{(v['states'] - 1) / (last - first):.1f}" if last > first else "-"
+        size = ["-" if v[key] is None else f"{v[key]:.2f}" for key in ("length_m", "width_m")]
+        rows.append([v["id"], str(v["states"]), f"{first:.3f}", f"{last:.3f}", rate, *size])
+    yield from table_lines(rows)
+    for problem in facts["problems"]:
+        where = "" if problem["offset"] is None else f" at byte {problem['offset']}"
+        yield f"problem: {line(problem['code'])}{where}: {line(problem['detail'])}"
+
+
+def table_lines(rows: Sequence[Sequence[str]]) -> Iterator[str]:
+    """Lay out rows of cells as columns; a table without rows but its head is left out."""
+    if len(rows) == 1:
+        return
+    shown = [[line(cell)[:60] for cell in row] for row in rows]
+    widths = [max(len(row[column]) for row in shown) for column in range(len(shown[0]))]
+    for row in shown:
+        yield ("  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+
+
+def robustness_lines(found: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    """Tell how many perturbed copies of each scene were certified and arrived."""
+    for scene in found:
+        good, count = scene["certified_and_arrived"], scene["perturbed"]
+        yield f"{scene['name']}: {good} of {count} perturbed copies certified and arrived"
+        for miss in scene["misses"]:
+            yield f"  seed {miss['seed']}: {line(miss['reason'])}"
