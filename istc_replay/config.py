@@ -98,6 +98,16 @@ class GuidanceConfig(Section):
     """Constant speed; unset: the recorded mean while moving."""
     stop_deceleration_mps2: Positive = 2.0
     """Braking to the end of a recorded path whose vehicle stands still there."""
+    routing: Literal["independent", "coordinated"] = "independent"
+    """Routes of scene files: each alone, or each with a view to those routed before it."""
+    route_radius_m: Positive = 6.0
+    """Turning radius of a route; others are tried where it finds none or a long one."""
+    route_margin_m: NonNegative = 0.3
+    """Room that a route keeps between the car-box and an obstacle."""
+    route_heading_slack_rad: Annotated[float, Field(ge=0, le=0.6)] = 0.13962634015954636
+    """The route keeps its margin for headings this far from its own."""
+    route_node_budget: Count = 4000
+    """Nodes that one search expands."""
 
 
 class CorridorsConfig(Section):

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import astuple, dataclass, replace
 
 import numpy as np
 
@@ -19,7 +20,7 @@ class Clearance:
 
     `obstacles` (O, 5): centre x, y, heading, half length, half width [m, rad]. The car-box, also
     turned by +-`slacks_rad` (O,) about its centre, keeps `margins_m` (O,) from each; the box as it
-    is stays within the bounds.
+    is stays within the bounds. `room_m` is how far the bounds may be drawn in.
     """
 
     car: Dimensions
@@ -27,6 +28,7 @@ class Clearance:
     obstacles: FloatArray
     margins_m: FloatArray
     slacks_rad: FloatArray
+    room_m: float = math.inf
 
     @classmethod
     def of(
@@ -49,19 +51,33 @@ class Clearance:
         )
 
     def eased_at(self, poses: FloatArray) -> Clearance:
-        """Ask no more of an obstacle than the car keeps at these poses (P, 3), where it stands anyway."""
-        gaps = self.gaps(poses).min(axis=0)
-        bare = replace(self, slacks_rad=np.zeros_like(self.slacks_rad)).gaps(poses).min(axis=0)
-        tight = gaps < self.margins_m
+        """Ask no more than the car keeps at these poses (P, 3), where it stands anyway."""
+        room_m = max(0.0, float(self.rooms(poses).min()))
+        if not len(self.obstacles):
+            return replace(self, room_m=room_m)
+        bare = self.unslacked().gaps(poses).min(axis=0)
+        tight = self.gaps(poses).min(axis=0) < self.margins_m
         return replace(
             self,
             margins_m=np.where(tight, np.minimum(bare, self.margins_m), self.margins_m),
             slacks_rad=np.where(tight, 0.0, self.slacks_rad),
+            room_m=room_m,
         )
 
+    def unslacked(self) -> Clearance:
+        """Ask nothing of turned boxes."""
+        return replace(self, slacks_rad=np.zeros_like(self.slacks_rad))
+
     def widened(self, by_m: float) -> Clearance:
-        """Ask for more room beside the obstacles whose heading slack was not given up."""
-        return replace(self, margins_m=self.margins_m + by_m * (self.slacks_rad > 0.0))
+        """Ask for more room where nothing was eased."""
+        inward = min(by_m, self.room_m)
+        low_x, high_x, low_y, high_y = astuple(self.bounds)
+        return replace(
+            self,
+            bounds=MapBounds(low_x + inward, high_x - inward, low_y + inward, high_y - inward),
+            margins_m=self.margins_m + by_m * (self.slacks_rad > 0.0),
+            room_m=self.room_m - inward,
+        )
 
     def gaps(self, poses: FloatArray) -> FloatArray:
         """Gaps (P, O) between the car-box at rear-axle poses (P, 3) and the obstacles [m].
@@ -71,25 +87,44 @@ class Clearance:
         """
         centres = self._centres(poses)
         cars, boxes = np.indices((len(poses), len(self.obstacles))).reshape(2, -1)
-        return self._pair_gaps(centres, poses[:, 2], cars, boxes).reshape(len(poses), -1)
+        return self._pair_gaps(centres, poses[:, 2], cars, boxes).reshape(len(poses), len(self.obstacles))
 
-    def inside(self, poses: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
-        """Whether the box at rear-axle poses (P, 3) is within the bounds, (P,)."""
+    def rooms(self, poses: FloatArray) -> FloatArray:
+        """Least distances (P,) from the box at rear-axle poses (P, 3) to the bounds, negative beyond [m]."""
         centres = self._centres(poses)
         c, s = np.abs(np.cos(poses[:, 2])), np.abs(np.sin(poses[:, 2]))
-        a, b = self.car.length_m / 2.0 - _ROUNDING_M, self.car.width_m / 2.0 - _ROUNDING_M
+        a, b = self.car.length_m / 2.0, self.car.width_m / 2.0
         reach_x, reach_y = a * c + b * s, a * s + b * c
+        x, y = centres.T
         return np.asarray(
-            (centres[:, 0] - reach_x >= self.bounds.x_min_m)
-            & (centres[:, 0] + reach_x <= self.bounds.x_max_m)
-            & (centres[:, 1] - reach_y >= self.bounds.y_min_m)
-            & (centres[:, 1] + reach_y <= self.bounds.y_max_m)
+            np.minimum(
+                np.minimum(x - self.bounds.x_min_m, self.bounds.x_max_m - x) - reach_x,
+                np.minimum(y - self.bounds.y_min_m, self.bounds.y_max_m - y) - reach_y,
+            )
         )
+
+    def closed_at(self, pose: FloatArray) -> Clearance:
+        """Bar the place of the car's box at a pose (3,) by one more obstacle."""
+        x, y = self._centres(pose[None, :])[0]
+        bar = [x, y, pose[2], self.car.width_m / 2.0, self.car.width_m / 2.0]
+        return replace(
+            self,
+            obstacles=np.vstack([self.obstacles, bar]),
+            margins_m=np.append(self.margins_m, 0.0),
+            slacks_rad=np.append(self.slacks_rad, 0.0),
+        )
+
+    def lacks(self, poses: FloatArray) -> FloatArray:
+        """By how much (P,) the car at poses (P, 3) is too near to anything [m]; negative: room left."""
+        lacks = -self.rooms(poses)
+        if len(self.obstacles):
+            lacks = np.maximum(lacks, (self.margins_m - self.gaps(poses)).max(axis=1))
+        return np.asarray(lacks)
 
     def free(self, poses: FloatArray) -> np.ndarray[tuple[int, ...], np.dtype[np.bool_]]:
         """Whether the car may be at rear-axle poses (..., 3), as (...)."""
         flat = poses.reshape(-1, 3)
-        free = self.inside(flat)
+        free = self.rooms(flat) >= -_ROUNDING_M
         if len(self.obstacles):
             centres = self._centres(flat)
             offsets = centres[:, None, :] - self.obstacles[None, :, :2]  # (P, O, 2)

@@ -180,22 +180,24 @@ def smooth_to_goal(
     """Spread the arcs' changes of curvature over ramps and still end exactly at the goal.
 
     The lengths are corrected by as little as possible (Newton's method, its slopes measured once
-    and then updated by Broyden's rule); None where a length would have to be negative.
+    and then updated by Broyden's rule). A bend whose length is negative bends the other way; None
+    where a straight would have to be negative, or no correction is found.
 
     Parameters
     ----------
     start, goal : Pose
         The ends of the curve.
     lengths_m, curvatures_1pm : array_like
-        (A,) arcs of a sharp path from start to goal [m, 1/m].
+        (A,) arcs of a path from start to goal, sharp or nearly right when smoothed [m, 1/m].
     ramp_m : float
         As for `smooth_curve` [m].
     """
-    target = goal.as_array()
+    bends = np.asarray(curvatures_1pm, dtype=np.float64)
+    straight = bends == 0.0
 
     def tried(lengths: FloatArray) -> tuple[Curve, FloatArray]:
-        curve = smooth_curve(start, lengths, curvatures_1pm, ramp_m)
-        error = curve.end - target
+        curve = smooth_curve(start, np.abs(lengths), np.where(lengths < 0.0, -bends, bends), ramp_m)
+        error = curve.end - goal.as_array()
         error[2] = math.remainder(error[2], 2.0 * math.pi)
         return curve, error
 
@@ -209,13 +211,12 @@ def smooth_to_goal(
         if np.abs(error).max() < _END_TOLERANCE:
             return curve
         wanted = lengths - np.linalg.lstsq(slopes, error, rcond=None)[0]
-        if wanted.min() < -1e-9:
+        if wanted[straight].min(initial=0.0) < -1e-9:
             return None
-        wanted = np.maximum(wanted, 0.0)
-        moved = wanted - lengths
-        curve, after = tried(wanted)
-        if moved @ moved == 0.0:
+        moved = np.where(straight, np.maximum(wanted, 0.0), wanted) - lengths
+        if not moved.any():
             return None
+        curve, after = tried(lengths + moved)
         slopes += np.outer(after - error - slopes @ moved, moved) / (moved @ moved)
-        lengths, error = wanted, after
+        lengths, error = lengths + moved, after
     return None

@@ -7,14 +7,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from importlib import resources
 
+from istc_replay.config import GuidanceConfig
 from istc_replay.datatypes import MapBounds, SceneObstacle, StaticScene, VehicleInfo
 from istc_replay.errors import ScenarioError, UsageError
-from istc_replay.guidance.curves import Pose
+from istc_replay.guidance.curves import Curve, Pose
+from istc_replay.guidance.routes import Task, find_paths
 from istc_replay.samples.drive import Drive, RecordedScene, record_drives
 from istc_replay.samples.intersection import START_NS, intersection
 from istc_replay.samples.pace import Pace
-from istc_replay.samples.routes import find_route
-from istc_replay.samples.sceneform import Box, SceneFile, ScenePose, SceneVehicle, parse_scene
+from istc_replay.samples.sceneform import Box, SceneFile, ScenePose, parse_scene
 
 #: Priority weights eta of Table II by vehicle.
 TURN_FIRST = {"1": 0.20, "2": 0.01, "3": 0.50}
@@ -24,15 +25,23 @@ _STEERING_MAX_RAD = 0.6
 _DECELERATION_MPS2 = 2.0
 _STANDING_S = 3  # recorded after the last arrival
 _DURATION_MAX_S = 900
+_COUNTS = {4: "four", 6: "six", 8: "eight"}
+_BLOCKS = {"": "no lanes", "_obstacles": "two blocks in the way", "_row": "three blocks in a row in the way"}
+#: Dense crossings whose logs lie in sample_logs/; the others are made by name.
+_DENSE_LOGS = ("dense_4",)
 
 
 @dataclass(frozen=True, slots=True)
 class Sample:
-    """A named sample: what it shows, in which format it is written, and how it is recorded."""
+    """A named sample: what it shows, in which format it is written, and how it is recorded.
+
+    `has_log` tells whether its log lies in sample_logs/.
+    """
 
     description: str
     format: str
     record: Callable[[], RecordedScene]
+    has_log: bool = True
 
 
 SAMPLES: dict[str, Sample] = {
@@ -56,11 +65,20 @@ SAMPLES: dict[str, Sample] = {
         "odometry",
         lambda: intersection("intersection_odometry", TURN_FIRST),
     ),
-    "dense_4": Sample(
-        "four vehicles cross a map of 50 m x 38 m from its sides, with no lanes",
-        "istc",
-        lambda: record(packaged_scene("dense_4")),
-    ),
+}
+
+
+def _dense(name: str, description: str) -> Sample:
+    return Sample(description, "istc", lambda: record(packaged_scene(name)), has_log=name in _DENSE_LOGS)
+
+
+SAMPLES |= {
+    f"dense_{count}{kind}": _dense(
+        f"dense_{count}{kind}",
+        f"{word} vehicles cross a map of 50 m x 38 m from its sides, with {blocks}",
+    )
+    for count, word in _COUNTS.items()
+    for kind, blocks in _BLOCKS.items()
 }
 
 
@@ -82,17 +100,24 @@ def find_sample(name: str) -> Sample:
     return SAMPLES[name]
 
 
-def record(scene: SceneFile) -> RecordedScene:
-    """Record a scene in which every vehicle drives its own shortest path and ignores the others.
+def record(scene: SceneFile, settings: GuidanceConfig | None = None) -> RecordedScene:
+    """Record a scene in which every vehicle drives its own short path and ignores the others.
 
     Each drives at the scene's speed, brakes at 2 m/s^2 to stand at its goal, and stays.
+
+    Parameters
+    ----------
+    scene : SceneFile
+        The scene.
+    settings : GuidanceConfig, optional
+        How paths are found; the defaults otherwise.
 
     Raises
     ------
     ScenarioError
         If a vehicle has no path past the obstacles, or the recording would be too long.
     """
-    drives = [_drive(scene, vehicle) for vehicle in scene.vehicles]
+    drives = _drives(scene, settings or GuidanceConfig())
     duration_s = math.ceil(max(drive.pace.arrival_s for drive in drives) - 1e-9) + _STANDING_S
     if duration_s > _DURATION_MAX_S:
         raise ScenarioError(
@@ -108,21 +133,28 @@ def packaged_scene(name: str) -> SceneFile:
     return parse_scene(text, name)
 
 
-def _drive(scene: SceneFile, vehicle: SceneVehicle) -> Drive:
+def _drives(scene: SceneFile, settings: GuidanceConfig) -> list[Drive]:
     car = scene.vehicle.dimensions
     least_radius_m = car.wheelbase_m / math.tan(_STEERING_MAX_RAD)
     if scene.vehicle.min_turn_radius_m is not None:
         least_radius_m = max(least_radius_m, scene.vehicle.min_turn_radius_m)
-    start, goal = _pose(vehicle.start), _pose(vehicle.goal)
-    path = find_route(start, goal, car, least_radius_m, scene.map, scene.obstacles)
-    if path is None:
-        raise ScenarioError(
-            f"scene {scene.name}: vehicle {vehicle.id} finds no path to its goal within the map and past its "
-            f"{len(scene.obstacles)} obstacles; give start and goal more room, or move an obstacle"
-        )
+    tasks = [Task(v.id, _pose(v.start), _pose(v.goal), car, least_radius_m) for v in scene.vehicles]
+    obstacles = _static_scene(scene).obstacles
+    try:
+        paths = find_paths(tasks, _bounds(scene), obstacles, settings, scene.speed_mps)
+    except ScenarioError as error:
+        raise ScenarioError(f"scene {scene.name}: {error}") from None
+    return [_drive(task, path, scene.speed_mps) for task, path in zip(tasks, paths, strict=True)]
+
+
+def _drive(task: Task, path: Curve, speed_mps: float) -> Drive:
     # A path too short to brake on from full speed is driven more slowly.
-    speed = min(scene.speed_mps, math.sqrt(2.0 * _DECELERATION_MPS2 * path.length_m))
-    return Drive(vehicle.id, car, path, Pace(speed, path.length_m, _DECELERATION_MPS2))
+    speed = min(speed_mps, math.sqrt(2.0 * _DECELERATION_MPS2 * path.length_m))
+    return Drive(task.vehicle_id, task.car, path, Pace(speed, path.length_m, _DECELERATION_MPS2))
+
+
+def _bounds(scene: SceneFile) -> MapBounds:
+    return MapBounds(scene.map.x_min_m, scene.map.x_max_m, scene.map.y_min_m, scene.map.y_max_m)
 
 
 def _pose(pose: ScenePose) -> Pose:
@@ -130,10 +162,10 @@ def _pose(pose: ScenePose) -> Pose:
 
 
 def _static_scene(scene: SceneFile) -> StaticScene:
-    box, car = scene.map, scene.vehicle.dimensions
+    car = scene.vehicle.dimensions
     return StaticScene(
         obstacles=tuple(_obstacle(index, box) for index, box in enumerate(scene.obstacles, start=1)),
-        bounds=MapBounds(box.x_min_m, box.x_max_m, box.y_min_m, box.y_max_m),
+        bounds=_bounds(scene),
         vehicles=tuple(VehicleInfo(vehicle.id, dimensions=car) for vehicle in scene.vehicles),
     )
 

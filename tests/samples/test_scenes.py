@@ -14,11 +14,12 @@ import polars as pl
 import pytest
 import shapely
 
+from istc_replay.config import GuidanceConfig
 from istc_replay.errors import ScenarioError, UsageError
 from istc_replay.geometry import box_corners
 from istc_replay.samples.drive import RecordedScene
 from istc_replay.samples.sceneform import parse_scene
-from istc_replay.samples.scenes import SAMPLES, find_sample, record, sample_names
+from istc_replay.samples.scenes import SAMPLES, find_sample, packaged_scene, record, sample_names
 from istc_replay.states import STATES_SCHEMA
 
 SHARED = Path(__file__).resolve().parents[2] / "../shared/scenarios"
@@ -182,7 +183,7 @@ def test_a_vehicle_drives_around_an_obstacle(block: tuple[float, ...]) -> None:
 
 @pytest.mark.parametrize("block", [(20.0, 24.0, 0.0, 38.0), (5.0, 9.0, 4.0, 9.0)])
 def test_a_vehicle_with_no_way_is_named_with_a_remedy(block: tuple[float, ...]) -> None:
-    with pytest.raises(ScenarioError, match=r"dense_4: vehicle 1 finds no path .* move an obstacle"):
+    with pytest.raises(ScenarioError, match=r"dense_4: vehicle 1: no path.*move"):
         record(parse_scene(with_block(*block)))
 
 
@@ -206,12 +207,12 @@ def test_a_short_way_is_driven_slowly_enough_to_stop() -> None:
 
 def test_every_sample_has_a_name_and_a_line() -> None:
     names = sample_names()
-    assert set(names) == {
+    dense = {f"dense_{count}{kind}" for count in (4, 6, 8) for kind in ("", "_obstacles", "_row")}
+    assert set(names) == dense | {
         "intersection_turn_first",
         "intersection_straight_first",
         "intersection_osi",
         "intersection_odometry",
-        "dense_4",
     }
     assert all(line and "\n" not in line for line in names.values())
 
@@ -240,19 +241,34 @@ def test_a_shifted_scene_is_driven_alike() -> None:
     np.testing.assert_allclose(second["y_m"] + 500.0, first["y_m"], atol=1e-6)
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    "name", [f"dense_{count}{kind}" for count in (4, 6, 8) for kind in ("", "_obstacles", "_row")]
-)
-def test_every_dense_scene_of_the_reference_data_is_recorded(name: str) -> None:
-    file = SHARED / f"{name}.json"
-    if not file.exists():
-        pytest.skip("the reference scenes are not beside the repository")
-    scene = record(parse_scene(file.read_text(encoding="utf-8")))
+@pytest.mark.parametrize("name", ["dense_6_row", "dense_8", "dense_8_obstacles"])
+def test_a_dense_crossing_is_driven_clear_of_its_blocks_and_within_its_map(name: str) -> None:
+    scene = recorded(name)
     blocks = [
         shapely.Polygon(box_corners(o.x_m, o.y_m, o.heading_rad, o.length_m, o.width_m))
         for o in scene.scene.obstacles
     ]
+    field = shapely.box(-1e-6, -1e-6, 50 + 1e-6, 38 + 1e-6)
     for track in tracks(scene).values():
         assert track["speed_mps"][-1] == 0.0
-        assert all(box.distance(block) >= 0.29 for box in boxes(track) for block in blocks)
+        assert track["steering_rate_radps"].abs().max() <= 0.8
+        for box in boxes(track):
+            assert field.covers(box)
+            assert all(box.distance(block) >= 0.29 for block in blocks)
+
+
+@pytest.mark.parametrize("name", [name for name in sample_names() if name.startswith("dense")])
+def test_packaged_scenes_are_those_of_the_reference_data(name: str) -> None:
+    file = SHARED / f"{name}.json"
+    if not file.exists():
+        pytest.skip("the reference scenes are not beside the repository")
+    assert packaged_scene(name) == parse_scene(file.read_text(encoding="utf-8"))
+
+
+def test_coordinated_routing_is_a_setting_of_its_own() -> None:
+    scene = packaged_scene("dense_4_row")
+    alone, coordinated = (record(scene, GuidanceConfig(routing=r)) for r in ("independent", "coordinated"))
+    assert alone.states.filter(pl.col("vehicle_id") == "1").equals(
+        coordinated.states.filter(pl.col("vehicle_id") == "1")
+    )
+    assert not alone.states.equals(coordinated.states)

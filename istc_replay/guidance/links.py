@@ -1,0 +1,97 @@
+"""Dubins words between poses, past obstacles and other traffic, for many pairs at once."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from istc_replay.datatypes import FloatArray
+from istc_replay.guidance.clearance import Clearance
+from istc_replay.guidance.curves import arc_poses
+from istc_replay.guidance.dubins import WORD_CURVATURES, word_lengths
+from istc_replay.guidance.traffic import Traffic
+
+_CHECK_STEP_M = 0.5
+
+
+@dataclass(frozen=True, eq=False)
+class Links:
+    """A word for each of N pairs: `costs_m` (N,) is infinite where none is free.
+
+    `lengths_m` and `curvatures_1pm` (N, 3): its arcs.
+    """
+
+    costs_m: FloatArray
+    lengths_m: FloatArray
+    curvatures_1pm: FloatArray
+
+
+@dataclass(frozen=True, eq=False)
+class Space:
+    """Where one car drives: at one turning radius, clear of obstacles, among other traffic."""
+
+    radius_m: float
+    clearance: Clearance
+    traffic: Traffic | None = None
+
+    def widened(self, by_m: float) -> Space:
+        """The same with more room asked for."""
+        return replace(self, clearance=self.clearance.widened(by_m))
+
+    def cost(self, poses: FloatArray, driven_m: FloatArray, step_m: float) -> FloatArray:
+        """What traffic adds to paths (N,) sampled at poses (N, S, 3), lengths driven (N, S) [m]."""
+        if self.traffic is None:
+            return np.zeros(len(poses))
+        return np.asarray(self.traffic.density(poses[..., :2], driven_m).sum(axis=1) * step_m)
+
+    def link(
+        self, starts: FloatArray, goals: FloatArray, driven_m: FloatArray, limits_m: FloatArray, tries: int
+    ) -> Links:
+        """Find the shortest free word of each pair.
+
+        Parameters
+        ----------
+        starts, goals : ndarray
+            (N, 3) poses [m, rad].
+        driven_m : ndarray
+            (N,) length driven before, for the time at which traffic is met [m].
+        limits_m : ndarray
+            (N,) words that are not shorter are not looked at [m].
+        tries : int
+            How many words of a pair are looked at, from the shortest on.
+        """
+        words = word_lengths(starts, goals, self.radius_m)  # (N, 6, 3)
+        totals = words.sum(axis=2)
+        order = np.argsort(totals, axis=1, kind="stable")
+        count = len(starts)
+        costs, chosen = np.full(count, np.inf), order[:, 0].copy()
+        for rank in range(tries):
+            word = order[:, rank]
+            length = totals[np.arange(count), word]
+            left = np.flatnonzero(np.isinf(costs) & (length < limits_m))
+            if not left.size:
+                break
+            arcs = words[left, word[left]]
+            samples = np.arange(int(length[left].max() / _CHECK_STEP_M) + 2) * _CHECK_STEP_M
+            s = np.minimum(samples[None, :], length[left, None])
+            poses = arc_poses(starts[left], arcs, WORD_CURVATURES[word[left]] / self.radius_m, s)
+            free = self.clearance.free(poses).all(axis=1)
+            # Samples repeated at the end of a shorter path count for nothing.
+            on_path = samples[None, :] < length[left, None]
+            extra = self._extra(poses, driven_m[left, None] + s, on_path)
+            costs[left[free]] = (length[left] + extra)[free]
+            chosen[left[free]] = word[left[free]]
+        lengths = np.where(np.isinf(words[np.arange(count), chosen]), 0.0, words[np.arange(count), chosen])
+        return Links(costs, lengths, WORD_CURVATURES[chosen] / self.radius_m)
+
+    def _extra(
+        self,
+        poses: FloatArray,
+        driven_m: FloatArray,
+        on_path: np.ndarray[tuple[int, ...], np.dtype[np.bool_]],
+    ) -> FloatArray:
+        if self.traffic is None:
+            return np.zeros(len(poses))
+        density = self.traffic.density(poses[..., :2], driven_m) * on_path
+        return np.asarray(density.sum(axis=1) * _CHECK_STEP_M)
