@@ -18,11 +18,48 @@ from istc_replay.errors import ConfigError
 from istc_replay.sections import Count, NonNegative, Positive, Section
 
 
+#: What a field mapping can tell of a vehicle; docs/formats.md explains each.
+FieldTarget = Literal[
+    "vehicle_id",
+    "vehicle_frame",
+    "frame",
+    "time",
+    "time_ns",
+    "time_s",
+    "position",
+    "x_m",
+    "y_m",
+    "latitude",
+    "longitude",
+    "orientation",
+    "heading_rad",
+    "heading_deg",
+    "speed_mps",
+    "velocity",
+    "acceleration_mps2",
+    "acceleration",
+    "steering_rad",
+    "steering_rate_radps",
+    "jerk_mps3",
+    "length_m",
+    "width_m",
+    "wheelbase_m",
+    "rear_axle_to_centre_m",
+]
+TopicFormat = Literal[
+    "istc", "osi", "odometry", "pose", "tf", "autoware", "scene_update", "location", "fields", "ignore"
+]
+
+
 class TopicConfig(Section):
     """How to read one topic, where the schema alone does not tell."""
 
-    format: Literal["istc", "osi", "odometry", "ignore"] | None = None
-    """Read the topic as this format; unset: recognised from its schema."""
+    format: TopicFormat | None = None
+    """Read the topic as this format; unset: by `fields` if there are any, else recognised from its schema."""
+    items: str = ""
+    """Path of the repeated part of the message that holds a vehicle each; empty: one vehicle a message."""
+    fields: dict[FieldTarget, str] = {}
+    """Paths of the message's fields by what they tell, such as x_m = "pose.position.x"."""
     vehicle_id: str | None = None
     """The vehicle that the topic belongs to; unset: from the message or the topic's name."""
     reference_point: Literal["box_centre", "rear_axle", "base_link"] | None = None
@@ -47,8 +84,14 @@ class IngestConfig(Section):
 class WindowConfig(Section):
     """Cutting the log into windows."""
 
-    unit_s: Positive = 1.0
-    """Length of a time unit T: each corridor-cube holds for one."""
+    unit_s: Positive | Literal["auto"] = "auto"
+    """Length of a time unit T, each corridor-cube holds for one; auto: 1 s, in traffic 1, 0.5 or 0.25 s."""
+    rules: Literal["auto", "scene", "traffic"] = "auto"
+    """How to plan: a staged scene, recorded traffic, or by `slow_mps` and what the log tells."""
+    slow_mps: Positive = 6.0
+    """A log with nothing of a scene in which someone is faster than this is traffic."""
+    frame: Literal["auto", "map", "road"] = "auto"
+    """Axes of the cubes: the map's, turned to the road, or the road's in traffic alone."""
     whole_log_s: Positive = 20.0
     """A log no longer than this is one window."""
     horizon_s: Positive = 8.0
@@ -57,6 +100,12 @@ class WindowConfig(Section):
     """Distance from one window's start to the next."""
     minimum_presence_units: Count = 2
     """A vehicle present for fewer whole units is not planned."""
+    minimum_rate_hz: Positive = 4.0
+    """A vehicle of traffic that is recorded more rarely is not planned."""
+    speed_mismatch_mps: Positive = 2.0
+    """A vehicle of traffic whose recorded speed and motion differ by more, on average, is not planned."""
+    parked_m: NonNegative = 0.5
+    """A vehicle of traffic that moves less than this in the whole log is an obstacle."""
 
 
 class VehicleConfig(Section):
@@ -72,6 +121,8 @@ class VehicleConfig(Section):
     """Distance from the rear axle forward to the box centre."""
     priority: Positive | None = None
     """Priority weight eta of eq. (4)."""
+    cooperative: bool = True
+    """Whether the vehicle is planned; if not, it is an obstacle that moves as recorded."""
 
 
 class VehiclesConfig(Section):
@@ -94,6 +145,10 @@ class GuidanceConfig(Section):
 
     source: Literal["auto", "lane", "recorded"] = "auto"
     """From lane lines, from the recorded path, or from a lane line where the log has one."""
+    law: Literal["auto", "recorded", "constant"] = "auto"
+    """Progress in time: as recorded, at constant speed, or as recorded in traffic alone."""
+    deviation_max_m: Positive = 1.0
+    """A recorded track that no car can follow this closely is an obstacle, not planned."""
     speed_mps: Positive | None = None
     """Constant speed; unset: the recorded mean while moving."""
     stop_deceleration_mps2: Positive = 2.0
@@ -145,6 +200,8 @@ class CorridorsConfig(Section):
     """Largest second difference backward."""
     lateral_acceleration_mps2: Positive = 1.5
     """Largest second difference sideways."""
+    lateral_m: Positive = 1.5
+    """A plan of traffic that leaves its recorded path sideways by more is not accepted."""
     gap_tolerance: Positive = 1e-3
     """Certified means (objective - bound) / max(1, |objective|) at most this."""
     tree_node_budget: Count = 800
@@ -316,6 +373,10 @@ def _render(section: BaseModel, path: str, lines: list[str], explain: bool) -> N
             continue
         if explain and not value:
             lines += ["", f"# {description}", f'# [{key}."..."]']
+        plain = {entry: item for entry, item in value.items() if isinstance(item, str)}
+        if plain:
+            lines += ["", f"[{key}]", *(f"{_key(entry)} = {_toml(item)}" for entry, item in plain.items())]
+            continue
         for entry, item in value.items():
             lines += ["", f"[{key}.{_key(entry)}]"]
             _render(item, f"{key}.{_key(entry)}", lines, explain)

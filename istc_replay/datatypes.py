@@ -252,6 +252,7 @@ class Scenario:
     bounds_m: tuple[float, float, float, float] | None  # corridor frame, x_min x_max y_min y_max
     excluded: tuple[Exclusion, ...] = ()
     vehicles_present: int = 0
+    traffic: bool = False  # planned by the rules for recorded traffic
 
 
 # --- the two layers --------------------------------------------------------------------------
@@ -263,7 +264,8 @@ class Guidance:
 
     `points_m` (K+1, 2) and `headings_rad` (K+1,) at the unit boundaries of the vehicle, the
     first at its start; `times_s` (S,) from the window's start and `poses` (S, 3) for drawing
-    and as the NLP's first guess. `kind` is recorded or lane.
+    and as the NLP's first guess. `kind` is recorded or lane. `slack_rad` (K+1,) is how far from
+    its heading the car may turn, None where the configuration tells it.
     """
 
     vehicle_id: str
@@ -273,6 +275,7 @@ class Guidance:
     speed_mps: float
     times_s: FloatArray
     poses: FloatArray
+    slack_rad: FloatArray | None = None
 
 
 class SolveStatus(StrEnum):
@@ -324,7 +327,8 @@ class Corridors:
     """The interactive spatio-temporal corridors of one window, eq. (4).
 
     `corridors` is empty unless status is optimal or feasible. `gap` = (objective - bound) /
-    max(1, |objective|). `reason` says in one line why there is no solution.
+    max(1, |objective|). `reason` says in one line why there is no solution, `culprits` which vehicles
+    (or pairs of road users) are in the way of one.
     """
 
     status: SolveStatus
@@ -335,6 +339,7 @@ class Corridors:
     found_by: str = ""
     reason: str = ""
     records: tuple[SolveRecord, ...] = ()
+    culprits: tuple[tuple[str, ...], ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -396,6 +401,7 @@ class WindowStatus(StrEnum):
     """How a window ended."""
 
     CERTIFIED = "certified"  # every plannable vehicle has a plan, every check passes
+    PARTIAL = "partial"  # some plannable vehicles stay as recorded, the others' plans pass every check
     NOT_CERTIFIED = "not_certified"  # a plan, but a check fails or cannot be judged
     NO_CORRIDORS = "no_corridors"
     NOT_DRIVABLE = "not_drivable"
@@ -404,7 +410,11 @@ class WindowStatus(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class WindowPlan:
-    """A window's whole result before it is certified."""
+    """A window's whole result before it is certified.
+
+    `frozen` vehicles could have been planned but stay as recorded: obstacles to the others. The
+    gaps [m] are those that layer 1 promised, None where they are the configuration's.
+    """
 
     scenario: Scenario
     status: WindowStatus
@@ -416,6 +426,9 @@ class WindowPlan:
     rounds: int = 1
     records: tuple[SolveRecord, ...] = ()
     seconds: dict[str, float] = field(default_factory=dict)
+    frozen: tuple[Exclusion, ...] = ()
+    vehicle_gap_m: float | None = None
+    obstacle_gap_m: float | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
