@@ -84,7 +84,7 @@ def _row(name: str, make: Callable[[], RecordedScene], config: Config, runs: int
     log = recorded_log(make())
     guidance_s = time.perf_counter() - began
     scenario = next(iter(build_scenarios(log, fast)))
-    planner = TrajectoryPlanner(fast.trajectories, fast.window.unit_s)
+    planner = TrajectoryPlanner(fast.trajectories, scenario.window.unit_s)
     plan_window(scenario, fast, planner)  # builds the NLPs, which all later runs share
     plans = [plan_window(scenario, fast, planner) for _ in range(runs)]
     layer1, layer2 = (median(p.seconds[layer] for p in plans) for layer in ("corridors", "trajectories"))

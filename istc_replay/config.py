@@ -17,7 +17,6 @@ from istc_replay.audit_config import AuditConfig
 from istc_replay.errors import ConfigError
 from istc_replay.sections import Count, NonNegative, Positive, Section
 
-
 #: What a field mapping can tell of a vehicle; docs/formats.md explains each.
 FieldTarget = Literal[
     "vehicle_id",
@@ -58,7 +57,7 @@ class TopicConfig(Section):
     """Read the topic as this format; unset: by `fields` if there are any, else recognised from its schema."""
     items: str = ""
     """Path of the repeated part of the message that holds a vehicle each; empty: one vehicle a message."""
-    fields: dict[FieldTarget, str] = {}
+    fields: dict[FieldTarget, str] = Field(default={})
     """Paths of the message's fields by what they tell, such as x_m = "pose.position.x"."""
     vehicle_id: str | None = None
     """The vehicle that the topic belongs to; unset: from the message or the topic's name."""

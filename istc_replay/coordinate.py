@@ -3,30 +3,37 @@
 from __future__ import annotations
 
 import time
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from istc_replay.corridors.formulation import default_limits
 from istc_replay.corridors.solve import solve_corridors
 from istc_replay.datatypes import WindowPlan, WindowStatus
+from istc_replay.field import Field, lateral_excursion_m, least_cover, prepare
 from istc_replay.guidance.build import build_guidance
+from istc_replay.scenario import TRAFFIC_UNITS_S, build_scenario
 from istc_replay.trajectories.plan import TrajectoryPlanner
+from istc_replay.trajectories.repair import RecordingRepairer
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable
 
     from istc_replay.config import Config
+    from istc_replay.corridors.problem import Limits
     from istc_replay.datatypes import (
         Corridors,
-        Guidance,
+        Log,
         Scenario,
         SolveRecord,
+        Trajectory,
         Undrivable,
     )
     from istc_replay.trajectories.plan import TrajectoryOutcome
 
 #: Plans may be this much faster than the fastest recorded vehicle of their window.
 _FASTER_SHARE, _FASTER_MPS = 1.15, 1.0
+#: At time units no longer than this, traffic has two control intervals in each.
+_SHORT_UNIT_S = 0.5
 
 
 def speed_max_mps(scenario: Scenario, config: Config) -> float:
@@ -35,16 +42,76 @@ def speed_max_mps(scenario: Scenario, config: Config) -> float:
     return max(config.trajectories.speed_max_mps, _FASTER_SHARE * fastest + _FASTER_MPS)
 
 
+class Planners:
+    """The compiled NLPs of a replay, which all windows share."""
+
+    def __init__(self, config: Config) -> None:
+        self._config = config
+        self._planners: dict[tuple[float, bool], TrajectoryPlanner] = {}
+        self.repairer = RecordingRepairer(config.trajectories)
+
+    def of(self, scenario: Scenario) -> TrajectoryPlanner:
+        """The planner of a window's time unit."""
+        unit_s = scenario.window.unit_s
+        key = (unit_s, scenario.traffic)
+        if key not in self._planners:
+            settings = self._config.trajectories
+            if scenario.traffic and unit_s <= _SHORT_UNIT_S:
+                settings = settings.model_copy(update={"step_s": max(settings.step_s, unit_s / 2.0)})
+            self._planners[key] = TrajectoryPlanner(settings, unit_s)
+        return self._planners[key]
+
+
+def plan_span(
+    log: Log,
+    config: Config,
+    span: tuple[int, int, int],
+    planners: Planners,
+    progress: Callable[[str], None] = lambda _: None,
+) -> WindowPlan:
+    """Plan one window of a log; of traffic with finer time units where vehicles had to be frozen.
+
+    Parameters
+    ----------
+    log, config
+        What was read, and the settings.
+    span : tuple
+        Of `scenario.window_spans`.
+    planners : Planners
+        Shared by all windows.
+    progress : callable
+        Told in words what is being done.
+    """
+
+    def attempt(scenario: Scenario) -> WindowPlan:
+        return plan_window(scenario, config, planners.of(scenario), progress, planners.repairer)
+
+    best = attempt(build_scenario(log, config, span))
+    seconds = dict(best.seconds)
+    if best.scenario.traffic and config.window.unit_s == "auto":
+        for unit_s in TRAFFIC_UNITS_S:
+            if unit_s >= best.scenario.window.unit_s or not best.frozen:
+                continue
+            finer = attempt(build_scenario(log, config, span, unit_s))
+            for name, value in finer.seconds.items():
+                seconds[name] = seconds.get(name, 0.0) + value
+            if len(finer.trajectories) > len(best.trajectories):
+                best = finer
+    return replace(best, seconds=seconds)
+
+
 def plan_window(
     scenario: Scenario,
     config: Config,
     planner: TrajectoryPlanner,
     progress: Callable[[str], None] = lambda _: None,
+    repairer: RecordingRepairer | None = None,
 ) -> WindowPlan:
     """Plan one window; every outcome is a WindowPlan with its status and reason.
 
     A vehicle that cannot be driven in its corridor has its layer-1 limits tightened and layer 1
-    is solved again, at most `trajectories.feedback_rounds` times.
+    is solved again, at most `trajectories.feedback_rounds` times. In traffic, vehicles that still
+    cannot be planned are frozen to their recording, and the others are planned around them.
 
     Parameters
     ----------
@@ -56,72 +123,177 @@ def plan_window(
         Keeps the NLPs that it built, so that windows share them.
     progress : callable
         Told in words what is being done.
+    repairer : RecordingRepairer, optional
+        Keeps the NLPs that repair recordings.
     """
     seconds = {"guidance": 0.0, "corridors": 0.0, "trajectories": 0.0}
-    if not scenario.participants:
-        reason = "no vehicle of the window can be planned: " + _exclusion_text(scenario)
-        return WindowPlan(scenario, WindowStatus.NOTHING_TO_PLAN, reason, seconds=seconds)
     began = time.perf_counter()
-    guidance = build_guidance(scenario, config.guidance)
-    seconds["guidance"] = time.perf_counter() - began
-    limits = {p.vehicle_id: default_limits(config.corridors) for p in scenario.participants}
     fastest = speed_max_mps(scenario, config)
-    records: list[SolveRecord] = []
-    round_ = 0
-    while True:
-        round_ += 1
-        progress("corridors" if round_ == 1 else f"corridors, round {round_}")
-        began = time.perf_counter()
-        corridors = solve_corridors(scenario, guidance, config.corridors, limits, fastest)
-        seconds["corridors"] += time.perf_counter() - began
-        records += corridors.records
-        if not corridors.corridors:
-            reason = corridors.reason + _after(round_)
-            plan = WindowPlan(scenario, WindowStatus.NO_CORRIDORS, reason, guidance, corridors)
-            break
-        progress("trajectories")
-        began = time.perf_counter()
-        outcomes = _trajectories(scenario, guidance, corridors, planner, fastest)
-        seconds["trajectories"] += time.perf_counter() - began
-        records += [record for outcome in outcomes for record in outcome.records]
-        undrivable = tuple(o.undrivable for o in outcomes if o.undrivable is not None)
-        if not undrivable:
+    law = config.guidance.law
+    if law == "recorded" or (law == "auto" and scenario.traffic):
+        ready = prepare(scenario, config, repairer or RecordingRepairer(config.trajectories), fastest)
+    else:
+        gaps = config.corridors.vehicle_gap_m, config.corridors.obstacle_gap_m
+        ready = Field(scenario, build_guidance(scenario, config.guidance), *gaps)
+    seconds["guidance"] = time.perf_counter() - began
+    if not ready.scenario.participants:
+        reason = "no vehicle of the window can be planned: " + _exclusion_text(ready.scenario)
+        return WindowPlan(ready.scenario, WindowStatus.NOTHING_TO_PLAN, reason, seconds=seconds)
+    return _Rounds(ready, config, planner, fastest, progress, seconds).run()
+
+
+@dataclass(slots=True)
+class _Rounds:
+    """The rounds of both layers for one window, until a plan stands or nobody is left."""
+
+    ready: Field
+    config: Config
+    planner: TrajectoryPlanner
+    fastest_mps: float
+    progress: Callable[[str], None]
+    seconds: dict[str, float]
+    round: int = 0
+    limits: dict[str, Limits] = field(default_factory=dict)
+    tightened: dict[str, int] = field(default_factory=dict)
+    records: list[SolveRecord] = field(default_factory=list)
+    _known: dict[tuple[str, bytes], TrajectoryOutcome] = field(default_factory=dict)
+
+    def run(self) -> WindowPlan:
+        """Solve the layers in turn; every round takes freedom from a vehicle, so that they end."""
+        self.records = list(self.ready.records)
+        self.limits = {
+            p.vehicle_id: default_limits(self.config.corridors) for p in self.ready.scenario.participants
+        }
+        while self.ready.scenario.participants:
+            self.round += 1
+            corridors = self._corridors()
+            if not corridors.corridors:
+                if not self._freeze_conflicts(corridors):
+                    return self._plan(WindowStatus.NO_CORRIDORS, corridors.reason + self._after(), corridors)
+                continue
+            outcomes = self._trajectories(corridors)
+            undrivable = tuple(o.undrivable for o in outcomes if o.undrivable is not None)
             found = tuple(o.trajectory for o in outcomes if o.trajectory is not None)
-            # Not certified until the certificate has said so.
-            plan = WindowPlan(scenario, WindowStatus.NOT_CERTIFIED, "", guidance, corridors, found)
-            break
-        if round_ > config.trajectories.feedback_rounds or config.corridors.formulation == "paper":
-            reason = "; ".join(_undrivable_text(u) for u in undrivable) + _after(round_)
-            plan = WindowPlan(
-                scenario, WindowStatus.NOT_DRIVABLE, reason, guidance, corridors, undrivable=undrivable
-            )
-            break
-        for culprit in undrivable:
-            limits[culprit.vehicle_id] = limits[culprit.vehicle_id].tightened()
-    return replace(plan, rounds=round_, records=tuple(records), seconds=seconds)
-
-
-def _trajectories(
-    scenario: Scenario,
-    guidance: Sequence[Guidance],
-    corridors: Corridors,
-    planner: TrajectoryPlanner,
-    fastest_mps: float,
-) -> list[TrajectoryOutcome]:
-    return [
-        planner.plan(participant, corridor, guide, fastest_mps)
-        for participant, corridor, guide in zip(
-            scenario.participants, corridors.corridors, guidance, strict=True
+            if undrivable:
+                if self._give_way(undrivable):
+                    continue
+                reason = "; ".join(_undrivable_text(u) for u in undrivable) + self._after()
+                return self._plan(WindowStatus.NOT_DRIVABLE, reason, corridors, undrivable=undrivable)
+            if not self._freeze_strays(found):
+                # Not certified until the certificate has said so.
+                return self._plan(WindowStatus.NOT_CERTIFIED, "", corridors, trajectories=found)
+        reason = "nobody could be planned: " + "; ".join(
+            f"{e.vehicle_id}: {e.detail}" for e in self.ready.frozen
         )
-    ]
+        return self._plan(WindowStatus.NO_CORRIDORS, reason, None)
+
+    def _corridors(self) -> Corridors:
+        self.progress("corridors" if self.round == 1 else f"corridors, round {self.round}")
+        began = time.perf_counter()
+        gaps = {"vehicle_gap_m": self.ready.vehicle_gap_m, "obstacle_gap_m": self.ready.obstacle_gap_m}
+        settings = self.config.corridors.model_copy(update=gaps)
+        corridors = solve_corridors(
+            self.ready.scenario, self.ready.guidance, settings, self.limits, self.fastest_mps
+        )
+        self.seconds["corridors"] += time.perf_counter() - began
+        self.records += corridors.records
+        return corridors
+
+    def _trajectories(self, corridors: Corridors) -> list[TrajectoryOutcome]:
+        self.progress("trajectories")
+        began = time.perf_counter()
+        outcomes = []
+        participants = self.ready.scenario.participants
+        for participant, corridor, guide in zip(
+            participants, corridors.corridors, self.ready.guidance, strict=True
+        ):
+            key = (participant.vehicle_id, corridor.cubes_m.tobytes() + corridor.pivots_m.tobytes())
+            if key not in self._known:
+                self._known[key] = self.planner.plan(participant, corridor, guide, self.fastest_mps)
+                self.records += self._known[key].records
+            outcomes.append(self._known[key])
+        self.seconds["trajectories"] += time.perf_counter() - began
+        return outcomes
+
+    def _give_way(self, undrivable: tuple[Undrivable, ...]) -> bool:
+        """Tighten the limits of vehicles that cannot be driven, or in traffic freeze them."""
+        most = self.config.trajectories.feedback_rounds
+        if self.config.corridors.formulation == "paper":
+            most = 0
+        again = [u.vehicle_id for u in undrivable if self.tightened.get(u.vehicle_id, 0) < most]
+        if not self.ready.scenario.traffic:
+            again = [u.vehicle_id for u in undrivable] if self.round <= most else []
+        for vehicle in again:
+            self.limits[vehicle] = self.limits[vehicle].tightened()
+            self.tightened[vehicle] = self.tightened.get(vehicle, 0) + 1
+        given_up = {
+            u.vehicle_id: ("undrivable", f"in time unit {u.unit}: {u.detail}")
+            for u in undrivable
+            if u.vehicle_id not in again
+        }
+        if given_up and self.ready.scenario.traffic:
+            self.ready.freeze(given_up)
+            return True
+        return bool(again)
+
+    def _freeze_conflicts(self, corridors: Corridors) -> bool:
+        """Freeze the fewest vehicles that stand in the way of corridors; whether there are any."""
+        if not self.ready.scenario.traffic:
+            return False
+        names = least_cover(corridors.culprits, self.ready.scenario.participants)
+        reasons = {}
+        for name in names:
+            others = sorted({o for pair in corridors.culprits if name in pair for o in pair} - {name})
+            detail = "no way past " + ", ".join(others) if others else corridors.reason
+            reasons[name] = ("no_relation" if others else "no_corridor", detail)
+        self.ready.freeze(reasons)
+        return bool(names)
+
+    def _freeze_strays(self, found: tuple[Trajectory, ...]) -> bool:
+        """In traffic, freeze whoever leaves its recorded path sideways by too much."""
+        if not self.ready.scenario.traffic:
+            return False
+        most, strays = self.config.corridors.lateral_m, {}
+        for trajectory, guide in zip(found, self.ready.guidance, strict=True):
+            away = lateral_excursion_m(trajectory, guide)
+            if away > most:
+                detail = f"its plan leaves the recorded path by {away:.2f} m, more than {most:g} m"
+                strays[trajectory.vehicle_id] = ("off_the_path", detail)
+        self.ready.freeze(strays)
+        return bool(strays)
+
+    def _plan(
+        self,
+        status: WindowStatus,
+        reason: str,
+        corridors: Corridors | None,
+        *,
+        trajectories: tuple[Trajectory, ...] = (),
+        undrivable: tuple[Undrivable, ...] = (),
+    ) -> WindowPlan:
+        ready = self.ready
+        return WindowPlan(
+            scenario=ready.scenario,
+            status=status,
+            reason=reason,
+            guidance=ready.guidance,
+            corridors=corridors,
+            trajectories=trajectories,
+            undrivable=undrivable,
+            rounds=max(1, self.round),
+            records=tuple(self.records),
+            seconds=self.seconds,
+            frozen=tuple(ready.frozen),
+            vehicle_gap_m=ready.vehicle_gap_m,
+            obstacle_gap_m=ready.obstacle_gap_m,
+        )
+
+    def _after(self) -> str:
+        return "" if self.round == 1 else f" (after {self.round} rounds of tightened limits)"
 
 
 def _undrivable_text(undrivable: Undrivable) -> str:
     return f"{undrivable.vehicle_id} in time unit {undrivable.unit}: {undrivable.detail}"
-
-
-def _after(rounds: int) -> str:
-    return "" if rounds == 1 else f" (after {rounds} rounds of tightened limits)"
 
 
 def _exclusion_text(scenario: Scenario) -> str:

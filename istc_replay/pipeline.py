@@ -118,7 +118,10 @@ def replay_read(
     stages: Stages | None = None,
 ) -> Replay:
     """Replay a log that has been read; arguments and errors as of `replay_log`."""
+    from istc_replay.scenario import settled_config
+
     timing = stages or Stages()
+    config = settled_config(log, config)
     plans = _plans(log, config, timing, progress)
     progress("certifying", len(plans), len(plans))
     done = _certify(log, plans, config, timing)
@@ -129,21 +132,23 @@ def replay_read(
 def _plans(
     log: Log, config: Config, timing: Stages, progress: Callable[[str, int, int], None]
 ) -> list[WindowPlan]:
-    from istc_replay.coordinate import plan_window
-    from istc_replay.scenario import build_scenarios
-    from istc_replay.trajectories.plan import TrajectoryPlanner
+    from istc_replay.coordinate import Planners, plan_span
+    from istc_replay.scenario import check_states, window_spans
 
     with timing.stage("scenario"):
-        scenarios = list(build_scenarios(log, config))
-    planner = TrajectoryPlanner(config.trajectories, config.window.unit_s)
+        check_states(log)
+        spans = window_spans(log, config)
+    planners = Planners(config)
     plans = []
-    for done, scenario in enumerate(scenarios):
+    for done, span in enumerate(spans):
 
         def told(what: str, done: int = done) -> None:
-            progress(what, done, len(scenarios))
+            progress(what, done, len(spans))
 
-        plan = plan_window(scenario, config, planner, told)
-        for name, seconds in plan.seconds.items():
+        began = time.perf_counter()
+        plan = plan_span(log, config, span, planners, told)
+        spent = time.perf_counter() - began
+        for name, seconds in {**plan.seconds, "scenario": spent - sum(plan.seconds.values())}.items():
             timing.seconds[name] = timing.seconds.get(name, 0.0) + seconds
         plans.append(plan)
     return plans
@@ -209,6 +214,9 @@ def _judged(plan: WindowPlan, certificates: Sequence[Certificate], verdict: Verd
     if plan.status is not WindowStatus.NOT_CERTIFIED:
         return plan
     if verdict is Verdict.PASS:
+        if plan.frozen:
+            stay = "; ".join(f"{e.vehicle_id}: {e.detail}" for e in plan.frozen)
+            return replace(plan, status=WindowStatus.PARTIAL, reason=f"as recorded stay {stay}")
         return replace(plan, status=WindowStatus.CERTIFIED)
     faults = [c for c in certificates if c.verdict in (Verdict.FAIL, Verdict.INCONCLUSIVE)]
     reason = "; ".join(f"{c.check} {c.verdict}: {c.detail}" for c in faults) or "nothing was certified"

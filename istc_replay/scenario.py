@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -12,7 +12,6 @@ import polars as pl
 from istc_replay.datatypes import (
     Dimensions,
     Exclusion,
-    FloatArray,
     Frame,
     Log,
     MapBounds,
@@ -22,13 +21,14 @@ from istc_replay.datatypes import (
     Scenario,
     SceneObstacle,
     StartState,
-    StaticScene,
     VehicleInfo,
     Window,
     read_only,
 )
 from istc_replay.errors import ScenarioError
 from istc_replay.geometry import box_corners, rotate, to_frame
+from istc_replay.road_frame import Body, conflicts, road_yaw
+from istc_replay.tracks import UsableTrack, known_poses, known_states, swept_boxes, usable_track
 from istc_replay.units import NS_PER_S, seconds_to_ns
 
 if TYPE_CHECKING:
@@ -36,9 +36,12 @@ if TYPE_CHECKING:
 
     from istc_replay.config import Config, VehiclesConfig, WindowConfig
 
-#: A recording with a hole longer than this many median sample periods is not planned across it.
-HOLE_PERIODS = 3.0
-_LEAST_HOLE_S = 0.5
+#: Time units by rule: of a scene, of traffic from coarse to fine, of traffic without any conflict.
+SCENE_UNIT_S, TRAFFIC_UNITS_S, CALM_UNIT_S = 1.0, (0.5, 0.25), 1.0
+#: Limits of layer 2 in traffic, where the configuration does not set them.
+TRAFFIC_LIMITS = {"acceleration_max_mps2": 3.5, "deceleration_max_mps2": 6.0}
+#: Reasons of exclusion that tell of a road user whose motion is well known.
+AS_RECORDED = ("not_a_vehicle", "uncooperative")
 #: States this far outside a window still tell the state at its ends.
 _MARGIN_S = 1.0
 
@@ -51,73 +54,247 @@ def build_scenarios(log: Log, config: Config) -> Iterator[Scenario]:
     ScenarioError
         If the log has no vehicle, or is shorter than one time unit.
     """
+    check_states(log)
+    for span in window_spans(log, config):
+        yield build_scenario(log, config, span)
+
+
+def check_states(log: Log) -> None:
+    """Refuse a log without vehicles.
+
+    Raises
+    ------
+    ScenarioError
+        If it has none.
+    """
     if log.states.is_empty():
         understood = ", ".join(sorted({c.schema for c in log.channels if c.schema})) or "none"
         raise ScenarioError(
             f"{log.path}: no vehicle states; schemas in the log: {understood}; "
             "see docs/formats.md for what is read, or name the topic in [ingest.topics]"
         )
-    for start_ns, units, index in _spans(log.states, config.window, log.path):
-        yield build_scenario(log, config, start_ns, units, index)
 
 
-def _spans(states: pl.DataFrame, config: WindowConfig, path: str) -> list[tuple[int, int, int]]:
-    unit_ns = seconds_to_ns(config.unit_s)
-    firsts = states.group_by("vehicle_id").agg(pl.col("time_ns").min())["time_ns"].to_numpy()
+def settled_config(log: Log, config: Config) -> Config:
+    """The settings in force: in traffic, layer 2 may brake and speed up as recorded traffic does."""
+    limits = config.trajectories
+    if not is_traffic(log, config.window):
+        return config
+    free = {name: value for name, value in TRAFFIC_LIMITS.items() if name not in limits.model_fields_set}
+    return config.model_copy(update={"trajectories": limits.model_copy(update=free)})
+
+
+def window_spans(log: Log, config: Config) -> list[tuple[int, int, int]]:
+    """Start [ns], length [ns] and index of every window of a log.
+
+    Raises
+    ------
+    ScenarioError
+        If the log is shorter than one time unit.
+    """
+    window, traffic = config.window, is_traffic(log, config.window)
+    unit_ns = seconds_to_ns(first_unit_s(log, window))
+    firsts = log.states.group_by("vehicle_id").agg(pl.col("time_ns").min())["time_ns"].to_numpy()
     # Vehicles are sampled in turn: start when all that are there at the start have been seen.
     start = int(firsts[firsts - firsts.min() < unit_ns // 2].max())
-    end = int(states["time_ns"].max())  # type: ignore[arg-type]
+    end = int(log.states["time_ns"].max())  # type: ignore[arg-type]
     span = end - start
-    if span <= seconds_to_ns(config.whole_log_s):
-        units = span // unit_ns
-        if units == 0:
-            raise ScenarioError(
-                f"{path}: {span / NS_PER_S:.3f} s of states, less than one time unit of "
-                f"{config.unit_s} s; set window.unit_s lower"
-            )
-        return [(start, int(units), 0)]
-    horizon = max(1, round(config.horizon_s / config.unit_s))
-    spans = []
-    for index, offset in enumerate(range(0, span, seconds_to_ns(config.stride_s))):
-        units = min(horizon, (span - offset) // unit_ns)
-        if units >= 1:
-            spans.append((start + offset, int(units), index))
-    return spans
+    if span < unit_ns:
+        raise ScenarioError(
+            f"{log.path}: {span / NS_PER_S:.3f} s of states, less than one time unit of "
+            f"{unit_ns / NS_PER_S:g} s; set window.unit_s lower"
+        )
+    if span <= seconds_to_ns(window.horizon_s if traffic else window.whole_log_s):
+        return [(start, span, 0)]
+    horizon = seconds_to_ns(window.horizon_s)
+    offsets = range(0, span, seconds_to_ns(window.stride_s))
+    spans = ((start + offset, min(horizon, span - offset), index) for index, offset in enumerate(offsets))
+    return [whole for whole in spans if whole[1] >= unit_ns]
 
 
-def build_scenario(log: Log, config: Config, start_ns: int, units: int, index: int) -> Scenario:
-    """Build the scenario of one window of `units` time units from `start_ns`."""
-    unit_ns = seconds_to_ns(config.window.unit_s)
-    end_ns = start_ns + units * unit_ns
-    present, states = _around(log.states, start_ns, end_ns)
-    frame = _local_frame(states)
-    window = Window(index, start_ns, end_ns, config.window.unit_s, units, frame)
-    participants, excluded = [], []
-    moving: list[Obstacle] = []
-    tracks = states.partition_by("vehicle_id", as_dict=True, maintain_order=True)
-    for vehicle_id in sorted(present, key=_natural):
-        track = tracks[(vehicle_id,)]
-        usable = _usable(track, vehicle_id, window, config.window)
-        if isinstance(usable, Exclusion):
-            excluded.append(usable)
-            continue
-        if track["role"].drop_nulls().is_in(["pedestrian", "bicycle", "other"]).any():
-            moving.append(_moving_obstacle(usable, vehicle_id, window, track))
-            excluded.append(
-                Exclusion(
-                    vehicle_id, "not_a_vehicle", f"{track['role'][0]}: an obstacle that moves as recorded"
-                )
-            )
-            continue
-        participants.append(_participant(usable, track, vehicle_id, window, log.scene, config.vehicles))
-    return Scenario(
-        window=window,
-        participants=tuple(participants),
-        obstacles=(*(_standing_obstacle(o, window) for o in log.scene.obstacles), *moving),
-        bounds_m=_bounds(log.scene.bounds, frame),
-        excluded=tuple(excluded),
-        vehicles_present=len(present),
+def is_traffic(log: Log, config: WindowConfig) -> bool:
+    """Whether a log is recorded traffic: nothing of a scene is told, and someone is fast."""
+    if config.rules != "auto":
+        return config.rules == "traffic"
+    scene = log.scene
+    if scene.lane_lines or scene.obstacles or scene.vehicles or scene.bounds is not None:
+        return False
+    speeds = log.states["speed_mps"].drop_nulls()
+    speeds = speeds.filter(speeds.is_finite())
+    return bool(len(speeds)) and float(speeds.abs().max()) > config.slow_mps  # type: ignore[arg-type]
+
+
+def first_unit_s(log: Log, config: WindowConfig) -> float:
+    """Length of the time unit that is tried first [s]; a window of calm traffic may have a longer one."""
+    if config.unit_s != "auto":
+        return config.unit_s
+    return TRAFFIC_UNITS_S[0] if is_traffic(log, config) else SCENE_UNIT_S
+
+
+def build_scenario(
+    log: Log, config: Config, span: tuple[int, int, int], unit_s: float | None = None
+) -> Scenario:
+    """Build the scenario of one window, a span as of `window_spans`.
+
+    With `unit_s` unset the time unit is the configured one, in traffic the calm one where the
+    recording has no conflict at it.
+    """
+    traffic = is_traffic(log, config.window)
+    if unit_s is None:
+        unit_s = first_unit_s(log, config.window)
+        if traffic and config.window.unit_s == "auto" and span[1] >= seconds_to_ns(CALM_UNIT_S):
+            calm = _Builder.of(log, config, span, CALM_UNIT_S, traffic)
+            if calm.calm():
+                return calm.scenario()
+    return _Builder.of(log, config, span, unit_s, traffic).scenario()
+
+
+@dataclass(slots=True)
+class _Builder:
+    """A window while its scenario is being built; tracks in the frame of `window`."""
+
+    log: Log
+    config: Config
+    window: Window
+    traffic: bool
+    present: list[str]
+    states: dict[tuple[object, ...], pl.DataFrame]
+    parked: frozenset[str]
+    usable: dict[str, UsableTrack] = field(default_factory=dict)
+    excluded: dict[str, Exclusion] = field(default_factory=dict)
+
+    @classmethod
+    def of(
+        cls, log: Log, config: Config, span: tuple[int, int, int], unit_s: float, traffic: bool
+    ) -> _Builder:
+        """Sort the road users of a window and choose its frame."""
+        start_ns, length_ns, index = span
+        units = length_ns // seconds_to_ns(unit_s)
+        end_ns = start_ns + units * seconds_to_ns(unit_s)
+        present, states = _around(log.states, start_ns, end_ns)
+        window = Window(index, start_ns, end_ns, unit_s, int(units), _local_frame(states))
+        tracks = states.partition_by("vehicle_id", as_dict=True, maintain_order=True)
+        parked = _parked(log.states, present, config.window) if traffic else frozenset()
+        builder = cls(log, config, window, traffic, sorted(present, key=_natural), tracks, parked)
+        builder.sort()
+        if config.window.frame == "road" or (config.window.frame == "auto" and traffic):
+            builder.turn(road_yaw(builder.bodies(), window.units, unit_s))
+        return builder
+
+    def sort(self) -> None:
+        """Tell who can be planned from who cannot, and why."""
+        for vehicle_id in self.present:
+            track = self.states[(vehicle_id,)]
+            found = usable_track(track, vehicle_id, self.window, self.config.window, traffic=self.traffic)
+            own = self.config.vehicles.by_id.get(vehicle_id)
+            reason = ""
+            if isinstance(found, Exclusion):
+                self.excluded[vehicle_id] = found
+                continue
+            if track["role"].drop_nulls().is_in(["pedestrian", "bicycle", "other"]).any():
+                reason, detail = "not_a_vehicle", f"{track['role'][0]}: an obstacle that moves as recorded"
+            elif own is not None and not own.cooperative:
+                reason, detail = "uncooperative", "marked so: an obstacle that moves as recorded"
+            elif vehicle_id in self.parked:
+                reason, detail = "parked", "never moves: a standing obstacle"
+            if reason:
+                self.excluded[vehicle_id] = Exclusion(vehicle_id, reason, detail)
+            else:
+                self.usable[vehicle_id] = found
+
+    def bodies(self) -> list[Body]:
+        """The vehicles to plan, for the choice of the frame."""
+        found = []
+        for vehicle_id, usable in self.usable.items():
+            size = self.size(vehicle_id)[0]
+            poses = usable.at_units(self.window.unit_s)
+            found.append(Body(usable.first_unit, poses, size.length_m, size.width_m))
+        return found
+
+    def turn(self, yaw_rad: float) -> None:
+        """Turn the corridor frame."""
+        self.window = replace(self.window, frame=replace(self.window.frame, yaw_rad=yaw_rad))
+        self.usable = {name: usable.turned(yaw_rad) for name, usable in self.usable.items()}
+
+    def calm(self) -> bool:
+        """Whether the recording has no conflict."""
+        return conflicts(self.bodies(), self.window.units, self.window.unit_s, 0.0)[1] == 0
+
+    def size(self, vehicle_id: str) -> tuple[Dimensions, str]:
+        """Dimensions of a road user, and where they come from."""
+        vehicles = self.log.scene.vehicles
+        info = next((v for v in vehicles if v.vehicle_id == vehicle_id), VehicleInfo(vehicle_id))
+        return vehicle_dimensions(self.states[(vehicle_id,)], info, self.config.vehicles)
+
+    def scenario(self) -> Scenario:
+        """The scenario of the window."""
+        window = self.window
+        participants = tuple(self.participant(vehicle_id) for vehicle_id in self.usable)
+        moving = (self.obstacle(vehicle_id) for vehicle_id in self.present)
+        return Scenario(
+            window=window,
+            participants=participants,
+            obstacles=(
+                *(_standing_obstacle(o, window) for o in self.log.scene.obstacles),
+                *(obstacle for obstacle in moving if obstacle is not None),
+            ),
+            bounds_m=_bounds(self.log.scene.bounds, window.frame),
+            excluded=tuple(self.excluded.values()),
+            vehicles_present=len(self.present),
+            traffic=self.traffic,
+        )
+
+    def obstacle(self, vehicle_id: str) -> Obstacle | None:
+        """What a road user that is not planned sweeps as recorded; None where nothing is known."""
+        exclusion = self.excluded.get(vehicle_id)
+        if exclusion is None or not (self.traffic or exclusion.reason in AS_RECORDED):
+            return None
+        known = known_states(self.states[(vehicle_id,)])
+        if known.is_empty():
+            return None
+        vulnerable = exclusion.reason == "not_a_vehicle"
+        size = self.size(vehicle_id)[0]
+        box = _recorded_box(known) if vulnerable else (size.length_m, size.width_m)
+        boxes = swept_boxes(*known_poses(known, self.window), box, self.window)
+        return None if np.isnan(boxes).all() else Obstacle(vehicle_id, boxes)
+
+    def participant(self, vehicle_id: str) -> Participant:
+        """A vehicle to plan."""
+        usable, scene, config = self.usable[vehicle_id], self.log.scene, self.config.vehicles
+        info = next((v for v in scene.vehicles if v.vehicle_id == vehicle_id), VehicleInfo(vehicle_id))
+        dimensions, source = self.size(vehicle_id)
+        own = config.by_id.get(vehicle_id)
+        priority = own.priority if own is not None and own.priority is not None else info.priority
+        lane = next((line for line in scene.lane_lines if line.vehicle_id == vehicle_id), None)
+        x, y, heading = usable.poses[0]
+        return Participant(
+            vehicle_id=vehicle_id,
+            dimensions=dimensions,
+            priority=config.priority if priority is None else priority,
+            first_unit=usable.first_unit,
+            units=usable.units,
+            start=StartState(float(x), float(y), float(heading), float(usable.speeds_mps[0])),
+            recording=Recording(usable.times_s, usable.poses, usable.speeds_mps),
+            lane_m=None if lane is None else read_only(to_frame(lane.points_m, self.window.frame), columns=2),
+            dimensions_source=source,
+        )
+
+
+def _parked(states: pl.DataFrame, present: list[str], config: WindowConfig) -> frozenset[str]:
+    """Vehicles that never move in the whole log; one that stands in a queue moves at another time."""
+    x, y = pl.col("x_m"), pl.col("y_m")
+    moved = (
+        states.filter(pl.col("vehicle_id").is_in(present))
+        .group_by("vehicle_id")
+        .agg(((x.max() - x.min()) ** 2 + (y.max() - y.min()) ** 2).sqrt().alias("moved_m"))
     )
+    return frozenset(moved.filter(pl.col("moved_m") < config.parked_m)["vehicle_id"].to_list())
+
+
+def _recorded_box(track: pl.DataFrame) -> tuple[float, float]:
+    """Length and width of a road user that is no vehicle, 1 m where they are not recorded."""
+    length, width = track["length_m"].drop_nulls(), track["width_m"].drop_nulls()
+    return float(length[0]) if len(length) else 1.0, float(width[0]) if len(width) else 1.0
 
 
 def _around(states: pl.DataFrame, start_ns: int, end_ns: int) -> tuple[list[str], pl.DataFrame]:
@@ -142,119 +319,7 @@ def _local_frame(states: pl.DataFrame) -> Frame:
     return Frame(float(round(x)), float(round(y)), 0.0)
 
 
-# --- what of a track can be used -------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Track:
-    """A usable part of a track: whole units, times from the window's start, corridor frame."""
-
-    first_unit: int
-    units: int
-    times_s: FloatArray  # (S,)
-    poses: FloatArray  # (S, 3)
-    speeds_mps: FloatArray  # (S,)
-    steering_rad: FloatArray  # (S,), NaN where unknown
-    acceleration_mps2: FloatArray  # (S,), NaN where unknown
-
-
-def _usable(track: pl.DataFrame, vehicle_id: str, window: Window, config: WindowConfig) -> _Track | Exclusion:
-    for column, reason in (
-        ("x_m", "missing_position"),
-        ("y_m", "missing_position"),
-        ("heading_rad", "missing_heading"),
-    ):
-        if track[column].null_count() == len(track):
-            return Exclusion(vehicle_id, reason, f"no state has {column}")
-    known = track.filter(
-        pl.all_horizontal(pl.col(name).is_finite().fill_null(False) for name in ("x_m", "y_m", "heading_rad"))
-    )
-    known = known.unique("time_ns", keep="first", maintain_order=True)
-    if len(known) < 2:
-        return Exclusion(
-            vehicle_id, "one_sample", f"{len(known)} usable state(s) in the window; two are needed"
-        )
-    if not known["speed_mps"].is_finite().fill_null(False).all():
-        return Exclusion(vehicle_id, "missing_speed", "no speed is recorded, and none can be derived")
-    times = (known["time_ns"].to_numpy() - window.start_ns) / NS_PER_S
-    return _unbroken(known, times, vehicle_id, window, config)
-
-
-def _unbroken(
-    known: pl.DataFrame, times: FloatArray, vehicle_id: str, window: Window, config: WindowConfig
-) -> _Track | Exclusion:
-    periods = np.diff(times)
-    # A hole that lies outside the window is none of its business.
-    periods[(times[1:] <= 0.0) | (times[:-1] >= window.units * window.unit_s)] = 0.0
-    hole = int(np.argmax(periods))
-    if periods[hole] > max(HOLE_PERIODS * float(np.median(np.diff(times))), _LEAST_HOLE_S):
-        return Exclusion(
-            vehicle_id, "hole", f"nothing recorded for {periods[hole]:.2f} s from {times[hole]:.2f} s on"
-        )
-    first_unit = max(0, math.ceil(times[0] / window.unit_s - 1e-9))
-    end_unit = min(window.units, math.floor(times[-1] / window.unit_s + 1e-9))
-    if end_unit - first_unit < min(config.minimum_presence_units, window.units):
-        return Exclusion(
-            vehicle_id, "short_presence", f"present for {max(0, end_unit - first_unit)} whole time units"
-        )
-    return _resampled(known, times, first_unit, end_unit, window)
-
-
-def _resampled(
-    known: pl.DataFrame, times: FloatArray, first_unit: int, end_unit: int, window: Window
-) -> _Track:
-    boundaries = np.arange(first_unit, end_unit + 1) * window.unit_s
-    at = np.union1d(times[(times > boundaries[0]) & (times < boundaries[-1])], boundaries)
-    points = to_frame(known.select("x_m", "y_m").to_numpy(), window.frame)
-    headings = np.unwrap(known["heading_rad"].to_numpy() - window.frame.yaw_rad)
-
-    def sampled(values: FloatArray) -> FloatArray:
-        return np.asarray(np.interp(at, times, values))
-
-    def optional(name: str, derived: int = 0) -> FloatArray:
-        # What was derived is no measurement: the plan stays free where nothing was recorded.
-        recorded = pl.when((pl.col("derived").fill_null(0) & derived) == 0).then(name)
-        return sampled(known.select(recorded.fill_null(math.nan)).to_series().to_numpy())
-
-    return _Track(
-        first_unit,
-        end_unit - first_unit,
-        read_only(at),
-        read_only(np.stack([sampled(points[:, 0]), sampled(points[:, 1]), sampled(headings)], axis=-1)),
-        read_only(sampled(known["speed_mps"].to_numpy())),
-        read_only(optional("steering_rad")),
-        read_only(optional("acceleration_mps2", derived=4)),
-    )
-
-
 # --- participants and obstacles --------------------------------------------------------------
-
-
-def _participant(
-    usable: _Track,
-    track: pl.DataFrame,
-    vehicle_id: str,
-    window: Window,
-    scene: StaticScene,
-    config: VehiclesConfig,
-) -> Participant:
-    info = next((v for v in scene.vehicles if v.vehicle_id == vehicle_id), VehicleInfo(vehicle_id))
-    dimensions, source = vehicle_dimensions(track, info, config)
-    own = config.by_id.get(vehicle_id)
-    priority = own.priority if own is not None and own.priority is not None else info.priority
-    lane = next((line for line in scene.lane_lines if line.vehicle_id == vehicle_id), None)
-    x, y, heading = usable.poses[0]
-    return Participant(
-        vehicle_id=vehicle_id,
-        dimensions=dimensions,
-        priority=config.priority if priority is None else priority,
-        first_unit=usable.first_unit,
-        units=usable.units,
-        start=StartState(float(x), float(y), float(heading), float(usable.speeds_mps[0])),
-        recording=Recording(usable.times_s, usable.poses, usable.speeds_mps),
-        lane_m=None if lane is None else read_only(to_frame(lane.points_m, window.frame), columns=2),
-        dimensions_source=source,
-    )
 
 
 def vehicle_dimensions(
@@ -298,21 +363,6 @@ def _standing_obstacle(obstacle: SceneObstacle, window: Window) -> Obstacle:
     )
     box = [corners[:, 0].min(), corners[:, 0].max(), corners[:, 1].min(), corners[:, 1].max()]
     return Obstacle(obstacle.obstacle_id, read_only([box] * window.units), read_only(corners))
-
-
-def _moving_obstacle(usable: _Track, obstacle_id: str, window: Window, track: pl.DataFrame) -> Obstacle:
-    """Boxes of a road user that moves as recorded: what it sweeps in each unit, NaN where absent."""
-    length = track["length_m"].drop_nulls()
-    width = track["width_m"].drop_nulls()
-    size = (float(length[0]) if len(length) else 1.0, float(width[0]) if len(width) else 1.0)
-    corners = box_corners(usable.poses[:, 0], usable.poses[:, 1], usable.poses[:, 2], *size)  # (S, 4, 2)
-    boxes = np.full((window.units, 4), np.nan)
-    for unit in range(usable.first_unit, usable.first_unit + usable.units):
-        start, end = unit * window.unit_s, (unit + 1) * window.unit_s
-        at = np.flatnonzero((usable.times_s >= start - 1e-9) & (usable.times_s <= end + 1e-9))
-        swept = corners[at].reshape(-1, 2)
-        boxes[unit] = swept[:, 0].min(), swept[:, 0].max(), swept[:, 1].min(), swept[:, 1].max()
-    return Obstacle(obstacle_id, read_only(boxes))
 
 
 def _bounds(bounds: MapBounds | None, frame: Frame) -> tuple[float, float, float, float] | None:

@@ -38,6 +38,8 @@ if TYPE_CHECKING:
 #: Bounds may decide an option only by more than this, so that rounding never does.
 _DECISIVE_M = 1e-9
 _STANDING_M = 1e-6
+#: A pivotal step may go sideways by this share even where the car hardly turns.
+_LEAST_CONE = 0.03
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,14 +48,15 @@ class Steps:
 
     `along` (K, 2): unit chords. `step_m` (K, 2): least and largest step along the chord.
     `heading` (K+1, 2): unit headings. `second_m` (K+1, 4): bounds of the second difference at k,
-    along (lower, upper) and across (lower, upper) the heading; rows 0 and K unused.
+    along (lower, upper) and across (lower, upper) the heading; rows 0 and K unused. `cone` (K,):
+    sideways step per forward step.
     """
 
     along: FloatArray
     step_m: FloatArray
     heading: FloatArray
     second_m: FloatArray
-    cone: float
+    cone: FloatArray
 
 
 def default_limits(config: CorridorsConfig) -> Limits:
@@ -90,8 +93,12 @@ def build_problem(
     blocks, rows, lower, upper = [], [], [], []
     offset = 0
     for participant, guide in zip(scenario.participants, guidance, strict=True):
-        block = make_block(participant, guide, config.heading_slack_rad, offset)
-        steps = make_steps(guide, limits[block.vehicle_id], reach_m, unit_s, participant.start.speed_mps)
+        slack = config.heading_slack_rad if guide.slack_rad is None else guide.slack_rad
+        block = make_block(participant, guide, slack, offset)
+        own = limits[block.vehicle_id]
+        steps = make_steps(guide, own, reach_m, unit_s, participant.start.speed_mps)
+        if guide.slack_rad is not None:
+            steps = replace(steps, cone=np.minimum(_narrow_cone(guide.slack_rad, own.tightness), own.cone))
         tube = tube_m(block, steps.along, (config.backward_m, reach_m, config.sideways_m))
         rows += [*overlap_rows(block), *range_rows(block, tube), *step_rows(block, steps)]
         low, high = reachable_bounds(block, steps, tube, scenario.bounds_m, offset)
@@ -103,7 +110,15 @@ def build_problem(
     return assemble(tuple(blocks), tuple(rows), bounds, scenario, config)
 
 
-def make_block(participant: Participant, guide: Guidance, heading_slack_rad: float, offset: int) -> Block:
+def _narrow_cone(slack_rad: FloatArray, share: float) -> FloatArray:
+    """The cone (K,) of a car that turns from its guidance by little; a share of it where tightened."""
+    wider = np.maximum(slack_rad[:-1], slack_rad[1:])
+    return np.asarray(share * np.maximum(np.tan(wider), _LEAST_CONE))
+
+
+def make_block(
+    participant: Participant, guide: Guidance, heading_slack_rad: float | FloatArray, offset: int
+) -> Block:
     """Lay out one vehicle's variables from `offset` on."""
     units = participant.units
     pivot = np.full((units + 1, 2), CONSTANT, dtype=np.int64)
@@ -127,7 +142,9 @@ def make_block(participant: Participant, guide: Guidance, heading_slack_rad: flo
     )
 
 
-def car_box_m(headings_rad: FloatArray, slack_rad: float, length_m: float, width_m: float) -> FloatArray:
+def car_box_m(
+    headings_rad: FloatArray, slack_rad: float | FloatArray, length_m: float, width_m: float
+) -> FloatArray:
     """Extents (K+1, 2) of the car-box that holds the car at any heading within the slack, eq. (7)."""
     diagonal = np.arctan2(width_m, length_m)
 
@@ -169,7 +186,7 @@ def make_steps(
     second[1:-1, 1] = np.maximum(limits.acceleration_mps2 * square, forward)
     second[1:-1, 2] = np.minimum(-limits.lateral_acceleration_mps2 * square, leftward)
     second[1:-1, 3] = np.maximum(limits.lateral_acceleration_mps2 * square, leftward)
-    return Steps(along, step, heading, second, limits.cone)
+    return Steps(along, step, heading, second, np.full(len(chords), limits.cone))
 
 
 def tube_m(block: Block, along: FloatArray, reach_m: tuple[float, float, float]) -> FloatArray:
@@ -232,7 +249,7 @@ def range_rows(block: Block, tube: FloatArray) -> Iterator[Row]:
 def step_rows(block: Block, steps: Steps) -> Iterator[Row]:
     """Eq. (12): the pivotal steps stay in a cone about the chord, their change within limits."""
     for k in range(block.units):
-        (cx, cy), mu = steps.along[k], steps.cone
+        (cx, cy), mu = steps.along[k], float(steps.cone[k])
         low, high = (float(value) for value in steps.step_m[k])
         yield _difference_row(block, "eq. (12)", {k + 1: (cx, cy), k: (-cx, -cy)}, low, high)
         for sign in (1.0, -1.0):
@@ -273,7 +290,7 @@ def reachable_bounds(
     pivots_low, pivots_high = [low], [high]
     step_low = step_high = None
     for k in range(block.units):
-        cone_low, cone_high = _cone_hull(steps.along[k], steps.step_m[k], steps.cone)
+        cone_low, cone_high = _cone_hull(steps.along[k], steps.step_m[k], float(steps.cone[k]))
         if step_low is not None and step_high is not None:
             change_low, change_high = _second_hull(steps.heading[k], steps.second_m[k])
             cone_low = np.maximum(cone_low, step_low + change_low)

@@ -32,6 +32,7 @@ class Limits:
     acceleration_mps2: float
     deceleration_mps2: float
     lateral_acceleration_mps2: float
+    tightness: float = 1.0  # 1 where nothing was tightened
 
     def tightened(self, factor: float = 0.7) -> Limits:
         """Return limits that leave more to layer 2."""
@@ -40,6 +41,7 @@ class Limits:
             self.acceleration_mps2 * factor,
             self.deceleration_mps2 * factor,
             self.lateral_acceleration_mps2 * factor,
+            self.tightness * factor,
         )
 
 

@@ -41,6 +41,7 @@ class _Search:
     bound: float = -np.inf
     found_by: str = ""
     records: list[SolveRecord] = field(default_factory=list)
+    culprits: tuple[tuple[str, ...], ...] = ()
 
     def offer(self, z: FloatArray | None, stage: str) -> bool:
         """Take z as the incumbent if it is better."""
@@ -84,9 +85,13 @@ def solve_corridors(
     build = build_paper_problem if paper else build_problem
     problem = build(scenario, guidance, config, limits, speed_max_mps)
     if problem.impossible:
-        return Corridors(SolveStatus.INFEASIBLE, reason=_conflict_text(problem.impossible[0]))
-    if np.any(problem.lower > problem.upper + 1e-9):
-        return Corridors(SolveStatus.INFEASIBLE, reason=_bounds_text(problem))
+        reason = _conflict_text(problem.impossible[0])
+        pairs = tuple(dict.fromkeys((d.first, d.second) for d in problem.impossible))
+        return Corridors(SolveStatus.INFEASIBLE, reason=reason, culprits=pairs)
+    cramped = _cramped(problem)
+    if cramped:
+        reason, vehicles = _bounds_text(cramped), tuple((vehicle,) for vehicle, _ in cramped)
+        return Corridors(SolveStatus.INFEASIBLE, reason=reason, culprits=vehicles)
     search = _Search(problem)
     if not paper:
         proven = _incumbent(search, config)
@@ -110,7 +115,7 @@ def _outcome(search: _Search, config: CorridorsConfig) -> Corridors:
             if infeasible
             else "the node budget ended before corridors were found; raise corridors.tree_node_budget"
         )
-        return Corridors(status, reason=reason, records=records)
+        return Corridors(status, reason=reason, records=records, culprits=search.culprits)
     gap = search.gap
     proven = gap is not None and gap <= config.gap_tolerance
     return Corridors(
@@ -137,10 +142,13 @@ def _incumbent(search: _Search, config: CorridorsConfig) -> Corridors | None:
     search.record(
         "conflict tree", "daqp", status, began, nodes=tree.nodes, objective=_finite(search.objective)
     )
+    if tree.z is None:
+        conflict = tree.open_conflict
+        search.culprits = tree.groups if conflict is None else ((conflict.first, conflict.second),)
     if infeasible:
         where = "" if tree.open_conflict is None else _conflict_text(tree.open_conflict)
         reason = where or "the limits of eq. (9) to (12) contradict each other or the map's bounds"
-        return Corridors(SolveStatus.INFEASIBLE, reason=reason)
+        return Corridors(SolveStatus.INFEASIBLE, reason=reason, culprits=search.culprits)
     if tree.z is None:
         return None
     choice = chosen_options(problem, _size_cubes(search, tree.z, config)) if problem.disjunctions else []
@@ -273,11 +281,18 @@ def _conflict_text(conflict: Disjunction) -> str:
     )
 
 
-def _bounds_text(problem: CorridorProblem) -> str:
+def _cramped(problem: CorridorProblem) -> list[tuple[str, int]]:
+    """Vehicles whose bounds contradict each other, and the first unit in which they do."""
+    found = []
     for block in problem.blocks:
         for k in range(block.units):
             walls = np.concatenate([block.cube[k], block.pivot[k + 1]])
             if np.any(problem.lower[walls] > problem.upper[walls] + 1e-9):
-                unit = block.first_unit + k
-                return f"{block.vehicle_id} has no room within the map's bounds in time unit {unit}"
-    return "the bounds contradict each other"
+                found.append((block.vehicle_id, block.first_unit + k))
+                break
+    return found
+
+
+def _bounds_text(cramped: Sequence[tuple[str, int]]) -> str:
+    vehicle_id, unit = cramped[0]
+    return f"{vehicle_id} has no room within the map's bounds in time unit {unit}"

@@ -77,7 +77,7 @@ def plan_messages(plan: WindowPlan, config: CorridorsConfig) -> Iterator[Stamped
 
     Trajectories that are not certified are no plan: they go to topics of their own.
     """
-    kind = "planned" if plan.status is WindowStatus.CERTIFIED else "rejected"
+    kind = "planned" if plan.status in (WindowStatus.CERTIFIED, WindowStatus.PARTIAL) else "rejected"
     window = plan.scenario.window
     yield window.start_ns, "/istc/corridors", _corridors(plan, config)
     yield window.start_ns, "/istc/obstacles", _obstacles(plan)
@@ -142,8 +142,8 @@ def _corridors(plan: WindowPlan, config: CorridorsConfig) -> Any:
         unit_s=window.unit_s,
         frame=_frame(window.frame),
         corridors=[_corridor(corridor, window) for corridor in corridors],
-        vehicle_gap_m=config.vehicle_gap_m,
-        obstacle_gap_m=config.obstacle_gap_m,
+        vehicle_gap_m=config.vehicle_gap_m if plan.vehicle_gap_m is None else plan.vehicle_gap_m,
+        obstacle_gap_m=config.obstacle_gap_m if plan.obstacle_gap_m is None else plan.obstacle_gap_m,
     )
 
 

@@ -70,7 +70,7 @@ def planned_motions(plans: Sequence[WindowPlan]) -> list[PlannedMotion]:
     return [
         planned_motion(trajectory, plan.scenario.window)
         for plan in plans
-        if plan.status is WindowStatus.CERTIFIED
+        if plan.status in (WindowStatus.CERTIFIED, WindowStatus.PARTIAL)
         for trajectory in plan.trajectories
         if len(trajectory.times_s)
     ]

@@ -88,7 +88,7 @@ def _window(
     plan: WindowPlan, certificates: Sequence[Certificate], recorded: Mapping[int, RecordedGap | None]
 ) -> dict[str, Any]:
     scenario, window, corridors = plan.scenario, plan.scenario.window, plan.corridors
-    certified = plan.status is WindowStatus.CERTIFIED
+    certified = plan.status in (WindowStatus.CERTIFIED, WindowStatus.PARTIAL)
     reasons = [e.reason for e in scenario.excluded]
     return {
         "index": window.index,
@@ -100,12 +100,15 @@ def _window(
         "status": str(plan.status),
         "reason": plan.reason,
         "vehicles_present": scenario.vehicles_present,
-        "vehicles_plannable": len(scenario.participants),
+        "vehicles_plannable": len(scenario.participants) + len(plan.frozen),
         "vehicles_certified": len(plan.trajectories) if certified else 0,
         "excluded": {reason: reasons.count(reason) for reason in sorted(set(reasons))},
         "exclusions": [
             {"vehicle_id": e.vehicle_id, "reason": e.reason, "detail": e.detail} for e in scenario.excluded
         ],
+        "frozen": [{"vehicle_id": e.vehicle_id, "reason": e.reason, "detail": e.detail} for e in plan.frozen],
+        "vehicle_gap_m": plan.vehicle_gap_m,
+        "obstacle_gap_m": plan.obstacle_gap_m,
         "rounds": plan.rounds,
         "undrivable": [
             {"vehicle_id": u.vehicle_id, "unit": u.unit, "slack_m": u.slack_m, "detail": u.detail}

@@ -29,6 +29,34 @@ def build_guidance(scenario: Scenario, config: GuidanceConfig) -> tuple[Guidance
     return tuple(_guidance(p, scenario.window.unit_s, config) for p in scenario.participants)
 
 
+def recorded_guidance(
+    participant: Participant, unit_s: float, times_s: FloatArray, poses: FloatArray
+) -> Guidance:
+    """Guidance by the recorded law of time.
+
+    Parameters
+    ----------
+    participant : Participant
+        Whose it is.
+    unit_s : float
+        Length of a time unit [s].
+    times_s, poses : (S,) and (S, 3) arrays
+        A drivable motion over exactly its units, box centre; every unit holds equally many steps.
+    """
+    per_unit = (len(times_s) - 1) // participant.units
+    steps = np.hypot(*np.diff(poses[:, :2], axis=0).T)
+    at_units = poses[::per_unit]
+    return Guidance(
+        vehicle_id=participant.vehicle_id,
+        kind="recorded",
+        points_m=read_only(at_units[:, :2]),
+        headings_rad=read_only(at_units[:, 2]),
+        speed_mps=float(steps.sum() / (participant.units * unit_s)),
+        times_s=read_only(times_s),
+        poses=read_only(poses),
+    )
+
+
 def _guidance(participant: Participant, unit_s: float, config: GuidanceConfig) -> Guidance:
     kind, path = _path(participant, config)
     speed = config.speed_mps or recorded_speed_mps(participant)

@@ -1,0 +1,246 @@
+"""Recorded traffic made ready to plan: repaired recordings, narrow headings, gaps, who stays as recorded."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from istc_replay.datatypes import (
+    Exclusion,
+    FloatArray,
+    Guidance,
+    Obstacle,
+    Participant,
+    Scenario,
+    SolveRecord,
+    StartState,
+    Trajectory,
+    read_only,
+)
+from istc_replay.geometry import box_corners, shift_along
+from istc_replay.guidance.build import recorded_guidance
+from istc_replay.road_frame import heading_slack
+from istc_replay.tracks import swept_boxes
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from istc_replay.config import Config
+    from istc_replay.trajectories.repair import RecordingRepairer
+
+#: The plan must begin this near to the recorded start [m]; the certificate allows a little more.
+_START_M = 0.04
+#: Gaps are this much below what was recorded, so that the recording itself keeps them [m].
+_BELOW_RECORDED_M = 0.05
+#: Near a neighbour a car may turn by this share of what would touch it, at least by the second [rad].
+_NEAR_SHARE, _NEAR_LEAST_RAD = 0.8, float(np.radians(1.5))
+#: A path goes straight on for this long before its start and after its end [m].
+_BEYOND_M = 1e3
+
+
+@dataclass(slots=True)
+class Field:
+    """A window of traffic while it is planned.
+
+    `guidance` is in the order of the scenario's participants. `frozen` vehicles were taken out
+    again and stand as obstacles in the scenario.
+    """
+
+    scenario: Scenario
+    guidance: tuple[Guidance, ...]
+    vehicle_gap_m: float
+    obstacle_gap_m: float
+    records: list[SolveRecord] = field(default_factory=list)
+    frozen: list[Exclusion] = field(default_factory=list)
+
+    def freeze(self, reasons: Mapping[str, tuple[str, str]]) -> None:
+        """Leave vehicles as recorded, by reason and detail; the others plan around them."""
+        kept = [p.vehicle_id not in reasons for p in self.scenario.participants]
+        frozen = [p for p, keep in zip(self.scenario.participants, kept, strict=True) if not keep]
+        self.guidance = tuple(g for g, keep in zip(self.guidance, kept, strict=True) if keep)
+        self.scenario = _without(self.scenario, frozen)
+        self.frozen += [Exclusion(p.vehicle_id, *reasons[p.vehicle_id]) for p in frozen]
+
+
+def prepare(scenario: Scenario, config: Config, repairer: RecordingRepairer, speed_max_mps: float) -> Field:
+    """Repair the recordings of a window; a vehicle that no car could have driven becomes an obstacle.
+
+    Parameters
+    ----------
+    scenario : Scenario
+        A window of recorded traffic.
+    config : Config
+        Largest deviation, gaps.
+    repairer : RecordingRepairer
+        Keeps the NLPs that it built.
+    speed_max_mps : float
+        Largest speed.
+    """
+    records, kept, guidance, excluded, dropped = [], [], [], [], []
+    for participant in scenario.participants:
+        motion, record = repairer.repair(participant, scenario.window.unit_s, speed_max_mps)
+        records.append(record)
+        detail = ""
+        if motion is None:
+            detail = f"no drivable motion was found near it ({record.detail})"
+        elif motion.deviation_m > config.guidance.deviation_max_m:
+            detail = f"the nearest drivable motion is {motion.deviation_m:.2f} m away"
+        elif np.hypot(*(motion.poses[0, :2] - participant.recording.poses[0, :2])) > _START_M:
+            detail = "no drivable motion starts where it was recorded"
+        if motion is None or detail:
+            excluded.append(Exclusion(participant.vehicle_id, "undrivable_track", detail))
+            dropped.append(participant)
+            continue
+        x, y, heading = motion.poses[0]
+        start = StartState(float(x), float(y), float(heading), float(motion.speeds_mps[0]))
+        kept.append(replace(participant, start=start))
+        guidance.append(recorded_guidance(participant, scenario.window.unit_s, motion.times_s, motion.poses))
+    scenario = replace(_without(scenario, dropped), excluded=(*scenario.excluded, *excluded))
+    scenario = replace(scenario, participants=tuple(kept))
+    return _narrowed(scenario, tuple(guidance), config, records)
+
+
+def _narrowed(
+    scenario: Scenario, guidance: tuple[Guidance, ...], config: Config, records: list[SolveRecord]
+) -> Field:
+    """Lower the gaps to what was recorded, and hold headings narrow at speed and near neighbours."""
+    unit_s, participants = scenario.window.unit_s, scenario.participants
+    slack = [heading_slack(np.column_stack([g.points_m, g.headings_rad]), unit_s) for g in guidance]
+    least = np.inf
+    near = [np.full(p.units + 1, np.inf) for p in participants]
+    for a, b in combinations(range(len(participants)), 2):
+        first, second = participants[a], participants[b]
+        begin = max(first.first_unit, second.first_unit)
+        end = min(first.first_unit + first.units, second.first_unit + second.units)
+        if end <= begin:
+            continue
+        apart = _apart(first, guidance[a], second, guidance[b], begin, end)
+        least = min(least, float(apart.min()))
+        per_unit = (len(apart) - 1) // (end - begin)
+        for row, one in ((a, first), (b, second)):
+            units = slice(begin - one.first_unit, end - one.first_unit + 1)
+            near[row][units] = np.minimum(near[row][units], apart[::per_unit])
+    gap = _lowered(config.corridors.vehicle_gap_m, least)
+    for row, participant in enumerate(participants):
+        room = _NEAR_SHARE * (near[row] - gap) / participant.dimensions.length_m
+        slack[row] = np.minimum(slack[row], np.maximum(room, _NEAR_LEAST_RAD))
+    narrow = tuple(replace(g, slack_rad=read_only(s)) for g, s in zip(guidance, slack, strict=True))
+    clear = _least_clearance(scenario, guidance)
+    return Field(scenario, narrow, gap, _lowered(config.corridors.obstacle_gap_m, clear), records)
+
+
+def _lowered(gap_m: float, recorded_m: float) -> float:
+    return float(np.clip(recorded_m - _BELOW_RECORDED_M, 0.0, gap_m))
+
+
+def _apart(
+    first: Participant,
+    guide: Guidance,
+    second: Participant,
+    other: Guidance,
+    begin: int,
+    end: int,
+) -> FloatArray:
+    """Distance of two cars' boxes along their axes (M,) [m] from unit `begin` to `end`; negative: overlap."""
+
+    def part(participant: Participant, guidance: Guidance) -> FloatArray:
+        per_unit = (len(guidance.poses) - 1) // participant.units
+        offset = participant.first_unit
+        return guidance.poses[(begin - offset) * per_unit : (end - offset) * per_unit + 1]
+
+    poses = part(first, guide), part(second, other)
+    sizes = first.dimensions, second.dimensions
+    centres = np.hypot(*(poses[0][:, :2] - poses[1][:, :2]).T)
+    reach = sum(np.hypot(size.length_m, size.width_m) / 2.0 for size in sizes)
+    apart = np.asarray(centres - reach)
+    close = np.flatnonzero(apart < 1.0)
+    if close.size:
+        corners = [
+            box_corners(pose[close, 0], pose[close, 1], pose[close, 2], size.length_m, size.width_m)
+            for pose, size in zip(poses, sizes, strict=True)
+        ]
+        apart[close] = _separation(corners[0], corners[1], [pose[close, 2] for pose in poses])
+    return apart
+
+
+def _separation(first: FloatArray, second: FloatArray, headings_rad: Sequence[FloatArray]) -> FloatArray:
+    """Largest distance (M,) of corners (M, 4, 2) along the axes of either box."""
+    best = np.full(len(first), -np.inf)
+    for heading in headings_rad:
+        for angle in (heading, heading + np.pi / 2):
+            axis = np.stack([np.cos(angle), np.sin(angle)], axis=-1)[:, None, :]
+            a, b = (first * axis).sum(axis=-1), (second * axis).sum(axis=-1)
+            gap = np.maximum(a.min(axis=1) - b.max(axis=1), b.min(axis=1) - a.max(axis=1))
+            best = np.maximum(best, gap)
+    return best
+
+
+def _least_clearance(scenario: Scenario, guidance: Sequence[Guidance]) -> float:
+    """Least distance that guidance keeps from the boxes of obstacles, those that it touches left out."""
+    least = np.inf
+    for participant, guide in zip(scenario.participants, guidance, strict=True):
+        own = _recorded_boxes(participant, guide.times_s, guide.poses, scenario)
+        for obstacle in scenario.obstacles:
+            box = obstacle.boxes_m
+            apart = np.maximum(own[:, 0::2] - box[:, 1::2], box[:, 0::2] - own[:, 1::2]).max(axis=1)
+            least = min(least, float(np.min(apart, where=apart >= 0.0, initial=np.inf)))
+    return least
+
+
+def _recorded_boxes(
+    participant: Participant, times_s: FloatArray, poses: FloatArray, scenario: Scenario
+) -> FloatArray:
+    size = participant.dimensions
+    return swept_boxes(times_s, poses, (size.length_m, size.width_m), scenario.window)
+
+
+def _without(scenario: Scenario, dropped: Sequence[Participant]) -> Scenario:
+    """Turn participants into obstacles that move as recorded."""
+    names = {p.vehicle_id for p in dropped}
+    moving = tuple(
+        Obstacle(p.vehicle_id, _recorded_boxes(p, p.recording.times_s, p.recording.poses, scenario))
+        for p in dropped
+    )
+    return replace(
+        scenario,
+        participants=tuple(p for p in scenario.participants if p.vehicle_id not in names),
+        obstacles=(*scenario.obstacles, *moving),
+    )
+
+
+def least_cover(pairs: Sequence[tuple[str, ...]], participants: Sequence[Participant]) -> tuple[str, ...]:
+    """Vehicles without which none of the pairs is left, few and of low priority."""
+    priority = {p.vehicle_id: p.priority for p in participants}
+    order = {p.vehicle_id: row for row, p in enumerate(participants)}
+    left = [tuple(name for name in pair if name in order) for pair in pairs]
+    left = [pair for pair in left if pair]
+    chosen: list[str] = []
+    while left:
+        names = {name for pair in left for name in pair}
+        # One that is in a pair by itself has no other to give way.
+        alone = {pair[0] for pair in left if len(pair) == 1}
+        pick = min(
+            alone or names,
+            key=lambda name: (-sum(name in pair for pair in left), priority[name], -order[name]),
+        )
+        chosen.append(pick)
+        left = [pair for pair in left if pick not in pair]
+    return tuple(chosen)
+
+
+def lateral_excursion_m(trajectory: Trajectory, guidance: Guidance) -> float:
+    """How far sideways a plan leaves the path of its guidance [m]; before and after it, the path goes on."""
+    x, y, heading = trajectory.states[:, :3].T
+    centres = shift_along(x, y, heading, trajectory.dimensions.rear_axle_to_centre_m)
+    poses = guidance.poses
+    moved = np.concatenate([[True], np.hypot(*np.diff(poses[:, :2], axis=0).T) > 1e-3])
+    poses = poses[moved]
+    ends = np.array([[np.cos(h), np.sin(h)] for h in (poses[0, 2], poses[-1, 2])]) * _BEYOND_M
+    path = np.vstack([poses[0, :2] - ends[0], poses[:, :2], poses[-1, :2] + ends[1]])
+    step = np.diff(path, axis=0)  # (P, 2)
+    offset = centres[:, None, :] - path[:-1]
+    share = np.clip((offset * step).sum(-1) / (step**2).sum(-1), 0.0, 1.0)
+    return float(np.hypot(*np.moveaxis(offset - share[..., None] * step, -1, 0)).min(axis=1).max())

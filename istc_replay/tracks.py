@@ -1,0 +1,167 @@
+"""What of a recorded track can be planned, in whole time units; and what it sweeps in each."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+import polars as pl
+
+from istc_replay.datatypes import Exclusion, FloatArray, Window, read_only
+from istc_replay.geometry import box_corners, rotate, to_frame
+from istc_replay.units import NS_PER_S
+
+if TYPE_CHECKING:
+    from istc_replay.config import WindowConfig
+
+#: A recording with a hole longer than this many median sample periods is not planned across it.
+HOLE_PERIODS = 3.0
+_LEAST_HOLE_S = 0.5
+#: Backing up faster than this is driving in reverse, which eq. (18) does not know.
+_REVERSING_MPS = -0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UsableTrack:
+    """A usable part of a track: whole units, times from the window's start, corridor frame."""
+
+    first_unit: int
+    units: int
+    times_s: FloatArray  # (S,)
+    poses: FloatArray  # (S, 3)
+    speeds_mps: FloatArray  # (S,)
+
+    def turned(self, yaw_rad: float) -> UsableTrack:
+        """The track in a frame turned by an angle."""
+        return replace(self, poses=turned_poses(self.poses, yaw_rad))
+
+    def at_units(self, unit_s: float) -> FloatArray:
+        """Poses (K+1, 3) at the unit boundaries."""
+        at = np.arange(self.first_unit, self.first_unit + self.units + 1) * unit_s
+        return np.stack([np.interp(at, self.times_s, column) for column in self.poses.T], axis=-1)
+
+
+def turned_poses(poses: FloatArray, yaw_rad: float) -> FloatArray:
+    """Poses (S, 3) in a frame that is turned by an angle."""
+    return read_only(np.column_stack([rotate(poses[:, :2], -yaw_rad), poses[:, 2] - yaw_rad]))
+
+
+def known_states(track: pl.DataFrame) -> pl.DataFrame:
+    """States with position and heading, one an instant."""
+    known = track.filter(
+        pl.all_horizontal(pl.col(name).is_finite().fill_null(False) for name in ("x_m", "y_m", "heading_rad"))
+    )
+    return known.unique("time_ns", keep="first", maintain_order=True)
+
+
+def known_poses(known: pl.DataFrame, window: Window) -> tuple[FloatArray, FloatArray]:
+    """Times (S,) [s from the window's start] and poses (S, 3) in the corridor frame."""
+    times = (known["time_ns"].to_numpy() - window.start_ns) / NS_PER_S
+    points = to_frame(known.select("x_m", "y_m").to_numpy(), window.frame)
+    headings = np.unwrap(known["heading_rad"].to_numpy() - window.frame.yaw_rad)
+    return times, np.column_stack([points, headings])
+
+
+def usable_track(
+    track: pl.DataFrame, vehicle_id: str, window: Window, config: WindowConfig, *, traffic: bool
+) -> UsableTrack | Exclusion:
+    """Cut a track to the whole units in which it can be planned, or tell why it cannot.
+
+    In `traffic` it must also be recorded often enough, agree with its own speed, and not reverse.
+    """
+    for column, reason in (
+        ("x_m", "missing_position"),
+        ("y_m", "missing_position"),
+        ("heading_rad", "missing_heading"),
+    ):
+        if track[column].null_count() == len(track):
+            return Exclusion(vehicle_id, reason, f"no state has {column}")
+    known = known_states(track)
+    if len(known) < 2:
+        return Exclusion(
+            vehicle_id, "one_sample", f"{len(known)} usable state(s) in the window; two are needed"
+        )
+    if not known["speed_mps"].is_finite().fill_null(False).all():
+        return Exclusion(vehicle_id, "missing_speed", "no speed is recorded, and none can be derived")
+    times, poses = known_poses(known, window)
+    usable = _unbroken(known, times, poses, vehicle_id, window, config)
+    fault = _fault(usable, times, vehicle_id, config) if traffic else None
+    return fault or usable
+
+
+def _unbroken(
+    known: pl.DataFrame,
+    times: FloatArray,
+    poses: FloatArray,
+    vehicle_id: str,
+    window: Window,
+    config: WindowConfig,
+) -> UsableTrack | Exclusion:
+    periods = np.diff(times)
+    # A hole that lies outside the window is none of its business.
+    periods[(times[1:] <= 0.0) | (times[:-1] >= window.units * window.unit_s)] = 0.0
+    hole = int(np.argmax(periods))
+    if periods[hole] > max(HOLE_PERIODS * float(np.median(np.diff(times))), _LEAST_HOLE_S):
+        return Exclusion(
+            vehicle_id, "hole", f"nothing recorded for {periods[hole]:.2f} s from {times[hole]:.2f} s on"
+        )
+    first_unit = max(0, math.ceil(times[0] / window.unit_s - 1e-9))
+    end_unit = min(window.units, math.floor(times[-1] / window.unit_s + 1e-9))
+    if end_unit - first_unit < min(config.minimum_presence_units, window.units):
+        return Exclusion(
+            vehicle_id, "short_presence", f"present for {max(0, end_unit - first_unit)} whole time units"
+        )
+    boundaries = np.arange(first_unit, end_unit + 1) * window.unit_s
+    at = np.union1d(times[(times > boundaries[0]) & (times < boundaries[-1])], boundaries)
+    return UsableTrack(
+        first_unit,
+        end_unit - first_unit,
+        read_only(at),
+        read_only(np.stack([np.interp(at, times, column) for column in poses.T], axis=-1)),
+        read_only(np.interp(at, times, known["speed_mps"].to_numpy())),
+    )
+
+
+def _fault(
+    usable: UsableTrack | Exclusion, times: FloatArray, vehicle_id: str, config: WindowConfig
+) -> Exclusion | None:
+    """What of recorded traffic is not fit to be planned: too rare, contradictory, in reverse."""
+    if isinstance(usable, Exclusion):
+        return None
+    rate = 1.0 / float(np.median(np.diff(times)))
+    if rate < config.minimum_rate_hz:
+        return Exclusion(vehicle_id, "low_rate", f"recorded {rate:.2f} times a second")
+    if float(usable.speeds_mps.min()) < _REVERSING_MPS:
+        return Exclusion(vehicle_id, "reversing", f"drives at {usable.speeds_mps.min():.2f} m/s")
+    seconds = np.diff(usable.times_s)
+    moved = np.hypot(*np.diff(usable.poses[:, :2], axis=0).T)
+    told = (usable.speeds_mps[1:] + usable.speeds_mps[:-1]) / 2.0 * seconds
+    mismatch = abs(float(moved.sum() - told.sum())) / float(seconds.sum())
+    if mismatch > config.speed_mismatch_mps:
+        detail = f"its speed and its motion differ by {mismatch:.2f} m/s on average"
+        return Exclusion(vehicle_id, "speed_mismatch", detail)
+    return None
+
+
+def swept_boxes(
+    times_s: FloatArray, poses: FloatArray, size_m: tuple[float, float], window: Window
+) -> FloatArray:
+    """Boxes (N, 4) of what a road user sweeps in each unit of the window, NaN where absent.
+
+    Where it is recorded on both sides of a unit's boundary its pose there is interpolated.
+    """
+    boundaries = np.arange(window.units + 1) * window.unit_s
+    inside = boundaries[(boundaries >= times_s[0] - 1e-9) & (boundaries <= times_s[-1] + 1e-9)]
+    at = np.union1d(times_s, inside)
+    sampled = np.stack([np.interp(at, times_s, column) for column in poses.T], axis=-1)
+    corners = box_corners(sampled[:, 0], sampled[:, 1], sampled[:, 2], *size_m)  # (S, 4, 2)
+    boxes = np.full((window.units, 4), np.nan)
+    for unit in range(window.units):
+        within = (at >= boundaries[unit] - 1e-9) & (at <= boundaries[unit + 1] + 1e-9)
+        touching = within & ((at < boundaries[unit + 1] - 1e-9) | (at > boundaries[unit] + 1e-9))
+        if touching.sum() >= 2 or (within & (at > boundaries[unit]) & (at < boundaries[unit + 1])).any():
+            swept = corners[within].reshape(-1, 2)
+            boxes[unit] = swept[:, 0].min(), swept[:, 0].max(), swept[:, 1].min(), swept[:, 1].max()
+    return read_only(boxes)

@@ -1,0 +1,196 @@
+"""The recording repaired: the nearest motion of a car to the recorded one, without any corridor.
+
+A recorded track is noisy and need not be one that a car can drive. The bicycle NLP, eq. (17) and
+(18), tracks the recorded box centres; its solution keeps the recorded law of time and can be driven.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+import numpy as np
+
+from istc_replay.bicycle import simulate
+from istc_replay.config import TrajectoriesConfig
+from istc_replay.datatypes import FloatArray, Participant, SolveRecord, SolveStatus, read_only
+from istc_replay.geometry import shift_along
+from istc_replay.trajectories.nlp import _STATUS, _options, _pack, _rk4_step
+
+#: Weights of the distance to the recorded centres [1/m^2], of steering rate, jerk and curvature.
+_POSITION, _STEERING_RATE, _JERK, _CURVATURE = 20.0, 0.5, 0.02, 0.1
+#: What the start may differ by from the recorded one: along x and y [m], heading [rad], speed [m/s].
+_START_M, _START_RAD, _START_MPS = 0.02, math.radians(6.0), 2.0
+_STEP_S = 0.25
+#: Poses in a control interval, for guidance at every unit boundary.
+_SUBSTEPS = 5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RepairedMotion:
+    """A drivable motion near a recording, box centre, corridor frame.
+
+    `times_s` (S,) from the window's start, `poses` (S, 3), `speeds_mps` (S,); `deviation_m` is the
+    largest distance from the recorded centre.
+    """
+
+    times_s: FloatArray
+    poses: FloatArray
+    speeds_mps: FloatArray
+    deviation_m: float
+
+
+class RecordingRepairer:
+    """Repairs recordings; keeps one compiled NLP a number of control intervals and their length.
+
+    Parameters
+    ----------
+    config : TrajectoriesConfig
+        Limits of eq. (18) and the budget of iterations.
+    """
+
+    def __init__(self, config: TrajectoriesConfig) -> None:
+        self._config = config
+        self._compiled: dict[tuple[int, float], ca.Function] = {}
+
+    def repair(
+        self, participant: Participant, unit_s: float, speed_max_mps: float
+    ) -> tuple[RepairedMotion | None, SolveRecord]:
+        """Repair one recording.
+
+        Parameters
+        ----------
+        participant : Participant
+            Its recording, box centres.
+        unit_s : float
+            Length of a time unit; control intervals divide it.
+        speed_max_mps : float
+            Largest speed.
+
+        Returns
+        -------
+        tuple
+            The motion, None where the NLP finds none, and the record of the solve.
+        """
+        per_unit = max(1, math.ceil(unit_s / _STEP_S - 1e-9))
+        step_s, intervals = unit_s / per_unit, participant.units * per_unit
+        recording, size = participant.recording, participant.dimensions
+        first_s = participant.first_unit * unit_s
+        at_s = np.asarray(first_s + np.arange(intervals + 1) * step_s, dtype=np.float64)
+        origin = recording.poses[0, :2]
+        centres = _at(recording.times_s, recording.poses[:, :2] - origin, at_s)
+        states = self._guess(participant, at_s, centres)
+        lower, upper = self._bounds(participant, intervals, speed_max_mps)
+        states = np.clip(states, lower, upper)
+        rate, jerk = self._config.steering_rate_max_radps, self._config.jerk_max_mps3
+        limit = np.tile([rate, jerk], (intervals, 1))
+        solver = self._solver(intervals, step_s)
+        began = time.perf_counter()
+        answer = solver(
+            x0=_pack(states, np.zeros((intervals, 2))),
+            p=np.concatenate([[size.wheelbase_m, size.rear_axle_to_centre_m], centres.ravel()]),
+            lbx=_pack(lower, -limit),
+            ubx=_pack(upper, limit),
+            lbg=0.0,
+            ubg=0.0,
+        )
+        report = solver.stats()
+        status = _STATUS.get(report["return_status"], SolveStatus.ERROR)
+        record = SolveRecord(
+            layer="guidance",
+            stage="repair",
+            solver="ipopt",
+            status=status,
+            vehicle_id=participant.vehicle_id,
+            objective=float(answer["f"]),
+            wall_s=time.perf_counter() - began,
+            iterations=int(report["iter_count"]),
+            detail=report["return_status"],
+        )
+        if status not in (SolveStatus.OPTIMAL, SolveStatus.FEASIBLE):
+            return None, record
+        held = np.asarray(answer["x"], dtype=np.float64).ravel()[: 8 * intervals].reshape(-1, 8)
+        return _motion(participant, held[0, :6], held[:, 6:], step_s, first_s, origin), record
+
+    def _guess(self, participant: Participant, times_s: FloatArray, centres_m: FloatArray) -> FloatArray:
+        recording = participant.recording
+        heading = np.interp(times_s, recording.times_s, recording.poses[:, 2])
+        axle = shift_along(
+            centres_m[:, 0], centres_m[:, 1], heading, -participant.dimensions.rear_axle_to_centre_m
+        )
+        speed = np.interp(times_s, recording.times_s, recording.speeds_mps)
+        rest = np.zeros_like(speed)
+        return np.column_stack([axle, heading, rest, speed, rest])
+
+    def _bounds(
+        self, participant: Participant, intervals: int, speed_max_mps: float
+    ) -> tuple[FloatArray, FloatArray]:
+        config, free, start = self._config, np.inf, participant.start
+        low = [-free, -free, -free, -config.steering_max_rad, 0.0, -config.deceleration_max_mps2]
+        high = [free, free, free, config.steering_max_rad, speed_max_mps, config.acceleration_max_mps2]
+        lower, upper = np.tile(low, (intervals + 1, 1)), np.tile(high, (intervals + 1, 1))
+        speed = float(np.clip(start.speed_mps, 0.0, speed_max_mps))
+        lower[0, 4], upper[0, 4] = max(0.0, speed - _START_MPS), min(speed_max_mps, speed + _START_MPS)
+        lower[0, 2], upper[0, 2] = start.heading_rad - _START_RAD, start.heading_rad + _START_RAD
+        return lower, upper
+
+    def _solver(self, intervals: int, step_s: float) -> ca.Function:
+        key = (intervals, step_s)
+        if key not in self._compiled:
+            self._compiled[key] = _build(intervals, step_s, self._config.iteration_budget)
+        return self._compiled[key]
+
+
+def _build(intervals: int, step_s: float, iterations: int) -> ca.Function:
+    states = [ca.SX.sym(f"s{i}", 6) for i in range(intervals + 1)]
+    controls = [ca.SX.sym(f"u{i}", 2) for i in range(intervals)]
+    size, targets = ca.SX.sym("size", 2), ca.SX.sym("targets", 2, intervals + 1)
+    state, control, wheelbase = ca.SX.sym("s", 6), ca.SX.sym("u", 2), ca.SX.sym("l")
+    step = ca.Function("step", [state, control, wheelbase], [_rk4_step(state, control, step_s, wheelbase)])
+    cost: Any = 0.0
+    rows = []
+    for i, here in enumerate(states):
+        x = here[0] + size[1] * ca.cos(here[2]) - targets[0, i]
+        y = here[1] + size[1] * ca.sin(here[2]) - targets[1, i]
+        # The start is nearly held: the plan has to begin where the vehicle was recorded.
+        weight = _POSITION if i else _POSITION / _START_M
+        cost += weight * (x**2 + y**2) + _CURVATURE * (ca.tan(here[3]) / size[0]) ** 2
+    for i, held in enumerate(controls):
+        rows.append(step(states[i], held, size[0]) - states[i + 1])
+        cost += _STEERING_RATE * held[0] ** 2 + _JERK * held[1] ** 2
+    x = ca.vertcat(*(ca.vertcat(*pair) for pair in zip(states, controls, strict=False)), states[-1])
+    problem: dict[str, Any] = {
+        "x": x,
+        "p": ca.vertcat(size, ca.vec(targets)),
+        "f": cost,
+        "g": ca.vertcat(*rows),
+    }
+    return ca.nlpsol("repair", "ipopt", problem, _options(iterations))
+
+
+def _motion(
+    participant: Participant,
+    start: FloatArray,
+    controls: FloatArray,
+    step_s: float,
+    first_s: float,
+    origin_m: FloatArray,
+) -> RepairedMotion:
+    size, recording = participant.dimensions, participant.recording
+    fine = np.repeat(controls, _SUBSTEPS, axis=0)
+    states = simulate(start, fine, step_s / _SUBSTEPS, size.wheelbase_m)
+    centres = shift_along(states[:, 0], states[:, 1], states[:, 2], size.rear_axle_to_centre_m) + origin_m
+    times = np.asarray(first_s + np.arange(len(states)) * (step_s / _SUBSTEPS), dtype=np.float64)
+    off = np.asarray(centres) - np.asarray(_at(recording.times_s, recording.poses[:, :2], times))
+    away = np.hypot(off[:, 0], off[:, 1])
+    poses = np.column_stack([centres, states[:, 2]])
+    return RepairedMotion(
+        read_only(times), read_only(poses), read_only(np.maximum(states[:, 4], 0.0)), float(away.max())
+    )
+
+
+def _at(times_s: FloatArray, points_m: FloatArray, at_s: FloatArray) -> FloatArray:
+    return np.column_stack([np.interp(at_s, times_s, column) for column in points_m.T])
