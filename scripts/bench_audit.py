@@ -137,13 +137,14 @@ def traffic(vehicles: int, seconds: float) -> Log:
 def whole(vehicles: int, seconds: float) -> dict[str, object]:
     """Time of one audit."""
     log = traffic(vehicles, seconds)
-    start = time.perf_counter()
+    # Seconds of the processor: other work on the machine does not count.
+    start = time.process_time()
     audit = audit_log(log, Config())
     return {
         "vehicles": vehicles,
         "log_s": seconds,
         "states": log.states.height,
-        "audit_s": round(time.perf_counter() - start, 2),
+        "audit_cpu_s": round(time.process_time() - start, 2),
         "pair_samples": audit.pair_samples.height,
         "findings": audit.findings.height,
         "peak_memory_gb": round(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024**2, 2),
