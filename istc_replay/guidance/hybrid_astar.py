@@ -25,6 +25,7 @@ _CELL_RAD = 0.1
 _GOOD_ENOUGH_M = 0.3
 #: Nodes expanded after the first path, for a better way round.
 _NODES_AFTER = 100
+_NODES_AMID_TRAFFIC = 800  # the way round may be another opening
 _HASTE = 1.05
 _WORDS_TRIED = 1
 _WAY_OUT_STEPS = 6
@@ -79,7 +80,7 @@ def search(
         costs = _shots(tree, batch, goal, space, best)
         if costs.min() < best:
             best, best_node = float(costs.min()), batch[int(np.argmin(costs))]
-            stop_at = min(stop_at, nodes + _NODES_AFTER)
+            stop_at = min(stop_at, nodes + (_NODES_AFTER if space.traffic is None else _NODES_AMID_TRAFFIC))
         _expand(tree, batch, goal, space, grid, queue, best, start)
     poses = tree.chain(best_node) if best_node >= 0 else None
     return Found(poses, nodes, not queue)

@@ -13,7 +13,7 @@ _STEP_S = 0.25
 _REACH_M = 4.5
 #: Coordination will delay vehicles: they are counted this much earlier and later too.
 _SHIFTS_S = (-1.5, -0.75, 0.0, 0.75, 1.5)
-_WEIGHT = 0.35
+_WEIGHT = 1.0
 
 
 @dataclass(frozen=True, eq=False)
