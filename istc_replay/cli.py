@@ -194,17 +194,20 @@ def export(source: Path, output: Path, formats: str, config_path: Path | None) -
 @cli.command()
 @click.argument("scene")
 @click.argument("out", type=_FILE)
-def sample(scene: str, out: Path) -> None:
+@click.option("-c", "--config", "config_path", type=_FILE, help="Configuration (TOML): how to route.")
+def sample(scene: str, out: Path, config_path: Path | None) -> None:
     """Write SCENE, a sample's name or a scene file (JSON), as a recorded log of uncoordinated driving.
 
     \b
     Example:  istc-replay sample dense_4 dense_4.mcap
     Names:    intersection_turn_first, intersection_straight_first, intersection_osi,
-              intersection_odometry, dense_4; the form of a scene file is schemas/scene.schema.json
+              intersection_odometry, dense_4, dense_6, dense_8, each of these three also with
+              _obstacles and _row; the form of a scene file is schemas/scene.schema.json
     """
+    from istc_replay.config import load_config
     from istc_replay.pipeline import write_sample
 
-    write_sample(scene, out)
+    write_sample(scene, out, load_config(config_path))
     click.echo(tell.line(out))
 
 

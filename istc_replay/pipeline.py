@@ -288,8 +288,8 @@ def export_tables(
     return log.complete, write_tables(log_tables(log), folder, formats)
 
 
-def write_sample(scene: str, out: Path) -> None:
-    """Write a sample by its name, or a scene file, as a recorded log.
+def write_sample(scene: str, out: Path, config: Config | None = None) -> None:
+    """Write a sample by its name, or a scene file, as a recorded log; routes by the guidance settings.
 
     Raises
     ------
@@ -303,11 +303,12 @@ def write_sample(scene: str, out: Path) -> None:
     from istc_replay.ingest.scene_file import read_scene
     from istc_replay.samples.scenes import find_sample, record
 
+    settings = (config or Config()).guidance
     if scene.endswith(".json"):
-        data = sample_bytes(record(read_scene(Path(scene))))
+        data = sample_bytes(record(read_scene(Path(scene)), settings))
     else:
         sample = find_sample(scene)
-        data = sample_bytes(sample.record(), sample.format)
+        data = sample_bytes(sample.recorded(settings), sample.format)
     with atomic_file(out) as file:
         file.write_bytes(data)
 

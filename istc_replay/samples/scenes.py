@@ -35,13 +35,18 @@ _DENSE_LOGS = ("dense_4",)
 class Sample:
     """A named sample: what it shows, in which format it is written, and how it is recorded.
 
-    `has_log` tells whether its log lies in sample_logs/.
+    `has_log` tells whether its log lies in sample_logs/; `scene` names its packaged scene, if it has one.
     """
 
     description: str
     format: str
     record: Callable[[], RecordedScene]
     has_log: bool = True
+    scene: str | None = None
+
+    def recorded(self, settings: GuidanceConfig) -> RecordedScene:
+        """Record it with these settings, which matter where routes are searched for."""
+        return self.record() if self.scene is None else record(packaged_scene(self.scene), settings)
 
 
 SAMPLES: dict[str, Sample] = {
@@ -69,7 +74,7 @@ SAMPLES: dict[str, Sample] = {
 
 
 def _dense(name: str, description: str) -> Sample:
-    return Sample(description, "istc", lambda: record(packaged_scene(name)), has_log=name in _DENSE_LOGS)
+    return Sample(description, "istc", lambda: record(packaged_scene(name)), name in _DENSE_LOGS, name)
 
 
 SAMPLES |= {
