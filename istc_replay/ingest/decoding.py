@@ -27,6 +27,8 @@ _STATES_FLOOR = 1_000_000
 _SCHEMAS_LIMIT = 256
 #: How well formats tell of vehicles, best first; what is told worse is used where nothing else is.
 _RANKS = {"scene_update": 1, "tf": 2}
+#: The rank of what the configuration chooses.
+CHOSEN = -1
 _POSES = "foxglove.PosesInFrame"
 
 
@@ -130,7 +132,7 @@ class Decoding:
 
     def _group(self, format_: Format, channel: Channel, chosen: bool) -> _Group:
         rank = 2 if format_.name == _POSES else _RANKS.get(format_.family, 0)
-        group = _Group(format_, 0 if chosen else rank)
+        group = _Group(format_, CHOSEN if chosen else rank)
         try:
             if len(self._groups) >= _SCHEMAS_LIMIT:
                 raise PayloadError(f"the log has more than {_SCHEMAS_LIMIT} schemas", "schema")

@@ -10,7 +10,7 @@ from istc_replay.config import Config
 from istc_replay.datatypes import ChannelInfo, Log
 from istc_replay.ingest.channels import FORMATS, base_link_to_centre_m, reference_point, why_not
 from istc_replay.ingest.columns import Block
-from istc_replay.ingest.decoding import Decoding
+from istc_replay.ingest.decoding import CHOSEN, Decoding
 from istc_replay.ingest.frames import TransformTree, check_frames, to_root
 from istc_replay.ingest.problems import Problems, quoted
 from istc_replay.ingest.records import Channel
@@ -105,11 +105,11 @@ class _Reading:
 
     def _best(self, blocks: list[Block], tree: TransformTree) -> list[Block]:
         """Keep the states of the formats that tell vehicles best, and those that were chosen."""
-        best = min((block.rank for block in blocks), default=0)
+        best = min((block.rank for block in blocks if block.rank != CHOSEN), default=0)
         kept = []
         vehicles = list(tree.vehicles())
         for block in blocks:
-            if block.rank > max(best, 0):
+            if block.rank > best:
                 self._unused.add(block.format)
                 continue
             if block.family == "tf":

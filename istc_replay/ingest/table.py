@@ -280,7 +280,9 @@ def to_table(states: Columns, marks: NDArray[np.uint8], names: Names) -> pl.Data
     texts = pl.Series(names.texts, dtype=pl.String)
     columns: dict[str, pl.Series] = {}
     count = len(states)
-    states.numbers["heading_rad"] = wrap_angle(states.numbers["heading_rad"])
+    heading = states.numbers["heading_rad"]
+    turned = np.flatnonzero((heading < -np.pi) | (heading >= np.pi))
+    heading[turned] = wrap_angle(heading[turned])  # the others stay as they were told, to the bit
     for name, dtype in STATES_SCHEMA.items():
         if name in ("vehicle_id", "topic"):
             codes = states.whole.pop("vehicle" if name == "vehicle_id" else name)

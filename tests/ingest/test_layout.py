@@ -1,0 +1,335 @@
+"""Decoding by layouts gives what the reference libraries give, payload by payload."""
+
+from __future__ import annotations
+
+import json
+import struct
+from typing import Any
+
+import numpy as np
+import pytest
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from mcap_ros2._dynamic import serialize_dynamic
+
+from istc_replay.ingest.batches import distinct, rows
+from istc_replay.ingest.chunk import chunk_records
+from istc_replay.ingest.definition import parse_definition
+from istc_replay.ingest.json_text import JsonDecoder
+from istc_replay.ingest.layout import Decoded
+from istc_replay.ingest.protobuf import ProtobufDecoder
+from istc_replay.ingest.records import MalformedRecordError
+from istc_replay.ingest.ros import ros_decoder
+from istc_replay.ingest.scan import Spans, scan
+from istc_replay.ingest.wanted import Mapping
+
+
+def decode(decoder: Any, payloads: list[bytes]) -> Decoded:
+    data = np.frombuffer(b"".join(payloads) + bytes(16), np.uint8)
+    ends = np.cumsum([len(payload) for payload in payloads]).astype(np.int64)
+    starts = ends - [len(payload) for payload in payloads]
+    return decoder.decode(data, starts, ends)
+
+
+def plain(decoded: Decoded, name: str) -> list[Any]:
+    """Values of a column, None where they are not told."""
+    column = decoded.columns[name]
+    values = column.values.tolist()
+    if column.texts is not None:
+        values = [column.texts[value] for value in values]
+    return (
+        values
+        if column.valid is None
+        else [v if ok else None for v, ok in zip(values, column.valid, strict=True)]
+    )
+
+
+# --- protobuf ------------------------------------------------------------------------------------
+
+
+def make_type() -> Any:
+    """A message of every kind of field, proto3, with a repeated part and a header."""
+    file = descriptor_pb2.FileDescriptorProto(name="t.proto", package="t", syntax="proto3")
+    part = file.message_type.add(name="Part")
+    for number, (name, kind) in enumerate(
+        [("x", 1), ("f", 2), ("i", 3), ("u", 4), ("z", 18), ("s", 9), ("b", 8), ("h", 16)], start=1
+    ):
+        part.field.add(name=name, number=number, type=kind, label=1)
+    part.field.add(name="inner", number=20, type=11, label=1, type_name=".t.Part")
+    whole = file.message_type.add(name="Whole")
+    whole.field.add(name="name", number=1, type=9, label=1)
+    whole.field.add(name="head", number=2, type=11, label=1, type_name=".t.Part")
+    whole.field.add(name="parts", number=3, type=11, label=3, type_name=".t.Part")
+    whole.field.add(name="noise", number=200, type=12, label=1)
+    pool = descriptor_pool.DescriptorPool()
+    pool.Add(file)
+    return message_factory.GetMessageClass(pool.FindMessageTypeByName("t.Whole"))
+
+
+TYPE = make_type()
+MAPPING = Mapping(
+    {
+        **{name: name for name in ("x", "f", "i", "u", "z", "s", "b", "h")},
+        "inner_x": "inner.x",
+        "name": "/name",
+        "head_i": "/head.i",
+    },
+    "parts",
+)
+INT64 = st.integers(-(2**63), 2**63 - 1)
+PART = st.fixed_dictionaries(
+    {},
+    optional={
+        "x": st.floats(allow_nan=False),
+        "f": st.floats(width=32, allow_nan=False),
+        "i": INT64,
+        "u": st.integers(0, 2**64 - 1),
+        "z": INT64,
+        "s": st.text(max_size=4).filter(lambda s: not s.endswith("\0")),
+        "b": st.booleans(),
+        "h": INT64,
+    },
+)
+WHOLE = st.fixed_dictionaries(
+    {"parts": st.lists(PART, max_size=12)},
+    optional={
+        "name": st.text(max_size=3).filter(lambda s: not s.endswith("\0")),
+        "head": PART,
+        "noise": st.binary(max_size=300),
+    },
+)
+
+
+@settings(max_examples=120, deadline=None)
+@given(values=st.lists(WHOLE, min_size=1, max_size=12), inner=st.booleans())
+def test_protobuf_is_decoded_as_by_the_reference_library(values: list[Any], inner: bool) -> None:
+    messages = [TYPE(**value) for value in values]
+    if inner:
+        for message in messages:
+            for part in message.parts:
+                part.inner.x = 4.5
+    decoded = decode(ProtobufDecoder(TYPE, MAPPING), [message.SerializeToString() for message in messages])
+    assert decoded.bad == []
+    items = [(row, message, part) for row, message in enumerate(messages) for part in message.parts]
+    assert decoded.rows.tolist() == [row for row, _, _ in items]
+    if not items:
+        return
+    for name in ("x", "f", "i", "u", "z", "s", "b", "h"):
+        assert plain(decoded, name) == [getattr(part, name) for _, _, part in items], name
+    assert plain(decoded, "inner_x") == [part.inner.x if inner else None for _, _, part in items]
+    assert plain(decoded, "name") == [message.name for _, message, _ in items]
+    assert plain(decoded, "head_i") == [m.head.i if m.HasField("head") else None for _, m, _ in items]
+
+
+@settings(max_examples=150, deadline=None)
+@given(
+    payload=st.binary(max_size=60),
+    damage=st.lists(st.tuples(st.integers(0, 80), st.integers(0, 255)), max_size=3),
+)
+def test_damaged_protobuf_is_refused_where_the_reference_library_refuses_it(
+    payload: bytes, damage: list[tuple[int, int]]
+) -> None:
+    sound = TYPE(name="a", parts=[{"x": 1.0, "s": "b"}, {"i": -5}], head={"i": 7}).SerializeToString()
+    hurt = bytearray(sound)
+    for position, value in damage:
+        hurt[position % len(hurt)] = value
+    payloads = [payload, sound, bytes(hurt)]
+    decoded = decode(ProtobufDecoder(TYPE, MAPPING), payloads)
+    bad = {row for row, _ in decoded.bad}
+    assert 1 not in bad
+    for row, data in enumerate(payloads):
+        try:
+            message = TYPE.FromString(data)
+        except Exception:  # noqa: S112
+            continue  # ours may pass over damage in what is not wanted
+        if row not in bad:
+            assert (decoded.rows == row).sum() == len(message.parts)
+
+
+def test_parts_that_stand_twice_are_merged_as_protobuf_says() -> None:
+    first = TYPE(head={"i": 7}, parts=[{"x": 1.0}]).SerializeToString()
+    payload = first + TYPE(head={"x": 2.0}, parts=[{"x": 3.0}]).SerializeToString()
+    decoded = decode(ProtobufDecoder(TYPE, MAPPING), [payload, first])
+    assert decoded.bad == []
+    assert (plain(decoded, "x"), plain(decoded, "head_i")) == ([1.0, 3.0, 1.0], [7, 7, 7])
+
+
+def test_a_million_fields_in_one_message_among_many_take_no_time_each() -> None:
+    payloads = [b"\x08\x01"] * 20 + [b"\x08\x01" * 1_000_000]
+    data = np.frombuffer(b"".join(payloads) + bytes(16), np.uint8)
+    ends = np.cumsum([len(payload) for payload in payloads]).astype(np.int64)
+    starts = np.concatenate([[0], ends[:-1]])
+    found, broken = scan(data, Spans(np.arange(21), starts, starts, ends), {1})
+    assert (len(found[1].rows), len(broken)) == (1_000_020, 0)
+
+
+# --- CDR -----------------------------------------------------------------------------------------
+
+DEFINITION = """
+string name
+int8 small
+Part[] parts
+float32[] noise
+float64 last
+================================================================================
+MSG: p/Part
+uint8 flag
+float64 x
+string label
+int16[3] triple
+"""
+CDR = Mapping({"x": "x", "flag": "flag", "label": "label", "name": "/name", "last": "/last"}, "parts")
+
+
+@settings(max_examples=60, deadline=None)
+@given(
+    values=st.lists(
+        st.tuples(
+            st.text(max_size=5).filter(lambda s: "\0" not in s),
+            st.lists(
+                st.tuples(st.integers(0, 255), st.floats(allow_nan=False), st.sampled_from(["", "a", "bé"])),
+                max_size=4,
+            ),
+            st.integers(0, 3),
+        ),
+        min_size=1,
+        max_size=8,
+    )
+)
+def test_cdr_is_decoded_as_the_reference_library_encodes_it(values: list[Any]) -> None:
+    encode = serialize_dynamic("p/msg/Whole", DEFINITION)["p/msg/Whole"]
+    payloads = [
+        encode(
+            {
+                "name": name,
+                "small": 3,
+                "parts": [{"flag": f, "x": x, "label": label, "triple": [1, 2, 3]} for f, x, label in parts],
+                "noise": [0.5] * noise,
+                "last": 2.5 * row,
+            }
+        )
+        for row, (name, parts, noise) in enumerate(values)
+    ]
+    decoded = decode(ros_decoder(parse_definition(DEFINITION.encode(), False), CDR, False), payloads)
+    items = [(row, name, part) for row, (name, parts, _) in enumerate(values) for part in parts]
+    assert decoded.bad == []
+    assert decoded.rows.tolist() == [row for row, _, _ in items]
+    if items:
+        assert plain(decoded, "name") == [name for _, name, _ in items]
+        assert plain(decoded, "last") == [2.5 * row for row, _, _ in items]
+        for index, name in enumerate(("flag", "x", "label")):
+            assert plain(decoded, name) == [part[index] for _, _, part in items]
+
+
+def test_a_definition_of_nothing_cannot_make_a_payload_endless() -> None:
+    types = parse_definition(b"Empty[] many\nfloat64 x\n===\nMSG: p/Empty\n", True)
+    decoder = ros_decoder(types, Mapping({"x": "x"}), True)
+    payload = struct.pack("<I", 2**32 - 1) + bytes(8)
+    assert [error.code for _, error in decode(decoder, [payload]).bad] == ["payload"]
+    circle = parse_definition(b"A a\nfloat64 x\n===\nMSG: p/A\nA a\n", True)
+    assert decode(ros_decoder(circle, Mapping({"x": "x"}), True), [bytes(50)]).bad
+
+
+# --- JSON ----------------------------------------------------------------------------------------
+
+JSON = Mapping({"x_m": "pose.x", "vehicle_id": "id", "time": "stamp"})
+
+
+def one_by_one(payloads: list[bytes]) -> list[tuple[Any, Any]]:
+    rows_ = []
+    for payload in payloads:
+        value = json.loads(payload)
+        rows_.append((value.get("pose", {}).get("x"), value.get("id")))
+    return rows_
+
+
+@pytest.mark.parametrize(
+    "extra",
+    [
+        b'{"pose": {"x": 3}, "id": "b", "stamp": {"sec": 5, "nsec": 6}}',
+        b'{"pose": {},\n "id": null, "stamp": {"sec": 5}}',
+        b'{"id": "\\u00e9\\n", "more": [1, {"deep": []}]}',
+        b'{"pose": {"x": 1e3}, "id": "c"}',
+        b"{}",
+    ],
+)
+def test_json_is_decoded_as_by_the_reference_library(extra: bytes) -> None:
+    sound = b'{"pose": {"x": 1.25, "y": 2}, "id": "a", "stamp": {"sec": 1700000000, "nsec": 999999999}}'
+    payloads = [sound, extra, sound]
+    decoded = decode(JsonDecoder(JSON), payloads)
+    assert decoded.bad == []
+    assert list(zip(plain(decoded, "x_m"), plain(decoded, "vehicle_id"), strict=True)) == one_by_one(payloads)
+    assert plain(decoded, "time.sec")[0] == 1_700_000_000
+
+
+@pytest.mark.parametrize(
+    "damage",
+    [b"", b"[1]", b'"x"', b'{"id": ', b'{"pose": {"x": true}}', b"\xff", b"[" * 100_000, b'{"a":' * 50_000],
+)
+def test_what_is_no_json_object_of_this_kind_is_bad_alone(damage: bytes) -> None:
+    sound = b'{"pose": {"x": 1.25}, "id": "a", "stamp": {"sec": 1, "nsec": 2}}'
+    decoded = decode(JsonDecoder(JSON), [sound, damage, sound])
+    assert [row for row, _ in decoded.bad] == [1]
+    assert decoded.rows.tolist() == [0, 2]
+
+
+def test_numbers_of_json_that_are_not_finite_or_too_long_are_kept_as_such() -> None:
+    values = [b"NaN", b"1e999", b"-Infinity", b"123456789012345678901234567890"]
+    decoded = decode(JsonDecoder(Mapping({"x_m": "x"})), [b'{"x": ' + value + b"}" for value in values])
+    assert decoded.bad == []
+    assert [str(value) for value in plain(decoded, "x_m")] == ["nan", "inf", "-inf", "1.2345678901234568e+29"]
+
+
+def test_json_lists_give_their_items() -> None:
+    mapping = Mapping({"vehicle_id": "id", "time_ns": "/t", "x_m": "p.0"}, "objects")
+    payload = b'{"t": 1700000000000000001, "objects": [{"id": 7, "p": [1.5, 2]}, {"id": 8, "p": []}]}'
+    decoded = decode(JsonDecoder(mapping), [payload, b'{"t": 1}', b'{"objects": 3}'])
+    assert [row for row, _ in decoded.bad] == [2]
+    assert (plain(decoded, "vehicle_id"), plain(decoded, "x_m")) == ([7, 8], [1.5, None])
+    assert plain(decoded, "time_ns") == [1_700_000_000_000_000_001] * 2
+
+
+# --- what they stand on --------------------------------------------------------------------------
+
+
+@given(values=st.lists(INT64, max_size=50), small=st.booleans())
+def test_distinct_is_unique_with_inverse(values: list[int], small: bool) -> None:
+    array = np.array([value % 17 - 5 if small else value for value in values], np.int64)
+    found, own = distinct(array)
+    assert found.tolist() == sorted(set(array.tolist()))
+    assert (found[own] == array).all() if len(array) else not len(own)
+
+
+def test_rows_are_copied_from_anywhere() -> None:
+    data = np.arange(100, dtype=np.uint8)
+    assert rows(data, np.array([0, 93, 5]), 7).tolist() == [list(range(s, s + 7)) for s in (0, 93, 5)]
+
+
+@settings(max_examples=200, deadline=None)
+@given(
+    sizes=st.lists(st.tuples(st.sampled_from([5, 5, 5, 4, 9]), st.integers(0, 30)), max_size=12),
+    lie=st.one_of(st.none(), st.lists(st.integers(-5, 500), max_size=12)),
+    cut=st.integers(0, 40),
+)
+def test_a_hint_never_changes_what_a_chunk_holds(
+    sizes: list[tuple[int, int]], lie: list[int] | None, cut: int
+) -> None:
+    data, places = b"", []
+    for opcode, size in sizes:
+        if opcode == 5:
+            places.append(len(data))
+        data += struct.pack("<BQ", opcode, size) + bytes(size)
+    data = data[: len(data) - cut] if cut < 20 else data
+
+    def told(hint: Any) -> list[Any]:
+        found: list[Any] = []
+        try:
+            for opcode, positions in chunk_records(data, hint):
+                found += [(opcode, p) for p in positions] if opcode == 5 else [(opcode, tuple(positions))]
+        except MalformedRecordError:
+            found.append("damage")
+        return found
+
+    hint = np.array(sorted(p for p in (places if lie is None else lie) if 0 <= p < len(data)), np.int64)
+    assert told(hint) == told(None)
