@@ -237,9 +237,11 @@ class _Rounds:
         return bool(again)
 
     def _freeze_conflicts(self, corridors: Corridors) -> bool:
-        """Freeze the fewest vehicles that stand in the way of corridors; whether there are any."""
+        """Lower the gaps, then freeze the fewest vehicles that stand in the way; whether that helps."""
         if not self.ready.scenario.traffic:
             return False
+        if self.ready.lower_gaps(corridors.culprits):
+            return True
         names = least_cover(corridors.culprits, self.ready.scenario.participants)
         reasons = {}
         for name in names:

@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 _START_M = 0.04
 #: Gaps are this much below what was recorded, so that the recording itself keeps them [m].
 _BELOW_RECORDED_M = 0.05
+#: A gap that was lowered below this is none [m].
+_LEAST_GAP_M = 0.06
 #: Near a neighbour a car may turn by this share of what would touch it, at least by the second [rad].
 _NEAR_SHARE, _NEAR_LEAST_RAD = 0.8, float(np.radians(1.5))
 #: A path goes straight on for this long before its start and after its end [m].
@@ -56,6 +58,17 @@ class Field:
     records: list[SolveRecord] = field(default_factory=list)
     frozen: list[Exclusion] = field(default_factory=list)
 
+    def lower_gaps(self, culprits: Sequence[tuple[str, ...]]) -> bool:
+        """Promise a third of the gap where a pair has no room for it, and then none; whether it changed."""
+        vehicles = {p.vehicle_id for p in self.scenario.participants}
+        pairs = [pair for pair in culprits if len(pair) == 2]
+        before = self.vehicle_gap_m, self.obstacle_gap_m
+        if any(vehicles.issuperset(pair) for pair in pairs):
+            self.vehicle_gap_m = _third(self.vehicle_gap_m)
+        if any(not vehicles.issuperset(pair) for pair in pairs):
+            self.obstacle_gap_m = _third(self.obstacle_gap_m)
+        return before != (self.vehicle_gap_m, self.obstacle_gap_m)
+
     def freeze(self, reasons: Mapping[str, tuple[str, str]]) -> None:
         """Leave vehicles as recorded, by reason and detail; the others plan around them."""
         kept = [p.vehicle_id not in reasons for p in self.scenario.participants]
@@ -63,6 +76,10 @@ class Field:
         self.guidance = tuple(g for g, keep in zip(self.guidance, kept, strict=True) if keep)
         self.scenario = _without(self.scenario, frozen)
         self.frozen += [Exclusion(p.vehicle_id, *reasons[p.vehicle_id]) for p in frozen]
+
+
+def _third(gap_m: float) -> float:
+    return gap_m / 3.0 if gap_m > _LEAST_GAP_M else 0.0
 
 
 def prepare(scenario: Scenario, config: Config, repairer: RecordingRepairer, speed_max_mps: float) -> Field:

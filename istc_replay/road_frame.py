@@ -21,6 +21,8 @@ _REFINEMENTS_RAD = np.radians([0.0, -1.0, 1.0])
 #: a sideways speed of this [m/s] in one second makes of its speed.
 _TURN_PER_M = 0.22
 _SIDEWAYS_MPS2 = 1.5
+#: Where it matters, near a neighbour, a car is held this narrow.
+_NEAR_RAD = np.radians(1.5)
 _MOST_RAD, _LEAST_RAD = np.radians(25.0), np.radians(1.0)
 
 
@@ -93,7 +95,8 @@ def road_yaw(bodies: Sequence[Body], units: int, unit_s: float) -> float:
 def _least_boxes(body: Body, unit_s: float, yaw_rad: float) -> FloatArray:
     """Hulls (K, 4) of the car-boxes at both ends of each unit, in a frame of this yaw."""
     centres = rotate(body.poses[:, :2], -yaw_rad)
-    slack, heading = heading_slack(body.poses, unit_s), body.poses[:, 2] - yaw_rad
+    slack = np.minimum(heading_slack(body.poses, unit_s), _NEAR_RAD)
+    heading = body.poses[:, 2] - yaw_rad
     half = 0.5 * np.stack(
         [
             np.maximum(*(_extent(heading + s, body.length_m, body.width_m)[axis] for s in (-slack, slack)))

@@ -40,6 +40,8 @@ _DECISIVE_M = 1e-9
 _STANDING_M = 1e-6
 #: A pivotal step may go sideways by this share even where the car hardly turns.
 _LEAST_CONE = 0.03
+#: Layer 1 may use this share of the sideways room: the motion between pivotal points needs some too.
+_LATERAL_SHARE = 0.8
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,6 +100,7 @@ def build_problem(
         own = limits[block.vehicle_id]
         steps = make_steps(guide, own, reach_m, unit_s, participant.start.speed_mps)
         if guide.slack_rad is not None:
+            rows += lateral_rows(block, guide, config.lateral_m * _LATERAL_SHARE)
             steps = replace(steps, cone=np.minimum(_narrow_cone(guide.slack_rad, own.tightness), own.cone))
         tube = tube_m(block, steps.along, (config.backward_m, reach_m, config.sideways_m))
         rows += [*overlap_rows(block), *range_rows(block, tube), *step_rows(block, steps)]
@@ -260,6 +263,23 @@ def step_rows(block: Block, steps: Steps) -> Iterator[Row]:
         for (wx, wy), (low, high) in zip(((hx, hy), (-hy, hx)), steps.second_m[k].reshape(2, 2), strict=True):
             weights = {k + 1: (wx, wy), k: (-2.0 * wx, -2.0 * wy), k - 1: (wx, wy)}
             yield _difference_row(block, "eq. (12)", weights, float(low), float(high))
+
+
+def lateral_rows(block: Block, guide: Guidance, lateral_m: float) -> Iterator[Row]:
+    """Keep pivotal points beside the path of the guidance, across its heading at each unit.
+
+    Where the path bends, the rows give way by as much as the path itself leaves its tangent: a car
+    that is early or late is elsewhere on the path.
+    """
+    for k in range(1, block.units + 1):
+        heading = float(guide.headings_rad[k])
+        nx, ny = -float(np.sin(heading)), float(np.cos(heading))
+        x, y = (float(value) for value in guide.points_m[k])
+        path = (guide.poses[:, 0] - x) * nx + (guide.poses[:, 1] - y) * ny
+        low, high = min(float(path.min()), 0.0) - lateral_m, max(float(path.max()), 0.0) + lateral_m
+        offset = x * nx + y * ny
+        index = (int(block.pivot[k, 0]), int(block.pivot[k, 1]))
+        yield Row("lateral bound", index, (nx, ny), low + offset, high + offset)
 
 
 def _difference_row(

@@ -94,10 +94,10 @@ def solve_corridors(
         return Corridors(SolveStatus.INFEASIBLE, reason=reason, culprits=vehicles)
     search = _Search(problem)
     if not paper:
-        proven = _incumbent(search, config)
+        proven = _incumbent(search, config, sized=not _large_traffic(scenario, problem, config))
         if proven is not None:
             return replace(proven, records=tuple(search.records))
-    wanted = config.mode == "certified" or search.z is None
+    wanted = config.mode == "certified" or (search.z is None and not scenario.traffic)
     if problem.disjunctions and wanted and problem.binaries <= config.proof_binaries_max:
         _prove(search, config, PAPER_BIG_M if paper else None)
     else:
@@ -129,8 +129,12 @@ def _outcome(search: _Search, config: CorridorsConfig) -> Corridors:
     )
 
 
-def _incumbent(search: _Search, config: CorridorsConfig) -> Corridors | None:
-    """Stages A, B and C; returns an outcome only where A proves that there is no solution."""
+def _large_traffic(scenario: Scenario, problem: CorridorProblem, config: CorridorsConfig) -> bool:
+    return scenario.traffic and problem.binaries > config.proof_binaries_max
+
+
+def _incumbent(search: _Search, config: CorridorsConfig, *, sized: bool) -> Corridors | None:
+    """Stages A, B (where `sized`) and C; an outcome only where A proves that there is no solution."""
     problem = search.problem
     began = time.perf_counter()
     tree = conflict_tree.search(problem, config.tree_node_budget)
@@ -151,7 +155,8 @@ def _incumbent(search: _Search, config: CorridorsConfig) -> Corridors | None:
         return Corridors(SolveStatus.INFEASIBLE, reason=reason, culprits=search.culprits)
     if tree.z is None:
         return None
-    choice = chosen_options(problem, _size_cubes(search, tree.z, config)) if problem.disjunctions else []
+    grown = _size_cubes(search, tree.z, config) if sized and problem.disjunctions else tree.z
+    choice = chosen_options(problem, grown)
     began = time.perf_counter()
     z = polish(problem, choice)
     search.offer(z, "joint polish")

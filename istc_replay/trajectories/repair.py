@@ -20,10 +20,11 @@ from istc_replay.datatypes import FloatArray, Participant, SolveRecord, SolveSta
 from istc_replay.geometry import shift_along
 from istc_replay.trajectories.nlp import _STATUS, _options, _pack, _rk4_step
 
-#: Weights of the distance to the recorded centres [1/m^2], of steering rate, jerk and curvature.
-_POSITION, _STEERING_RATE, _JERK, _CURVATURE = 20.0, 0.5, 0.02, 0.1
+#: Weights of the distance to the recorded centres [1/m^2] and headings [1/rad^2], of steering rate, jerk
+#: and curvature.
+_POSITION, _HEADING, _STEERING_RATE, _JERK, _CURVATURE = 20.0, 5.0, 0.5, 0.02, 0.1
 #: What the start may differ by from the recorded one: along x and y [m], heading [rad], speed [m/s].
-_START_M, _START_RAD, _START_MPS = 0.02, math.radians(6.0), 2.0
+_START_M, _START_RAD, _START_MPS = 0.025, math.radians(6.0), 2.0
 _STEP_S = 0.25
 #: Poses in a control interval, for guidance at every unit boundary.
 _SUBSTEPS = 5
@@ -83,6 +84,7 @@ class RecordingRepairer:
         origin = recording.poses[0, :2]
         centres = _at(recording.times_s, recording.poses[:, :2] - origin, at_s)
         states = self._guess(participant, at_s, centres)
+        headings = states[:, 2].copy()
         lower, upper = self._bounds(participant, intervals, speed_max_mps)
         states = np.clip(states, lower, upper)
         rate, jerk = self._config.steering_rate_max_radps, self._config.jerk_max_mps3
@@ -91,11 +93,11 @@ class RecordingRepairer:
         began = time.perf_counter()
         answer = solver(
             x0=_pack(states, np.zeros((intervals, 2))),
-            p=np.concatenate([[size.wheelbase_m, size.rear_axle_to_centre_m], centres.ravel()]),
+            p=np.concatenate([[size.wheelbase_m, size.rear_axle_to_centre_m], centres.ravel(), headings]),
             lbx=_pack(lower, -limit),
             ubx=_pack(upper, limit),
-            lbg=0.0,
-            ubg=0.0,
+            lbg=np.concatenate([[-_START_M, -_START_M], np.zeros(6 * intervals)]),
+            ubg=np.concatenate([[_START_M, _START_M], np.zeros(6 * intervals)]),
         )
         report = solver.stats()
         status = _STATUS.get(report["return_status"], SolveStatus.ERROR)
@@ -148,6 +150,7 @@ def _build(intervals: int, step_s: float, iterations: int) -> ca.Function:
     states = [ca.SX.sym(f"s{i}", 6) for i in range(intervals + 1)]
     controls = [ca.SX.sym(f"u{i}", 2) for i in range(intervals)]
     size, targets = ca.SX.sym("size", 2), ca.SX.sym("targets", 2, intervals + 1)
+    headings = ca.SX.sym("headings", intervals + 1)
     state, control, wheelbase = ca.SX.sym("s", 6), ca.SX.sym("u", 2), ca.SX.sym("l")
     step = ca.Function("step", [state, control, wheelbase], [_rk4_step(state, control, step_s, wheelbase)])
     cost: Any = 0.0
@@ -155,16 +158,17 @@ def _build(intervals: int, step_s: float, iterations: int) -> ca.Function:
     for i, here in enumerate(states):
         x = here[0] + size[1] * ca.cos(here[2]) - targets[0, i]
         y = here[1] + size[1] * ca.sin(here[2]) - targets[1, i]
-        # The start is nearly held: the plan has to begin where the vehicle was recorded.
-        weight = _POSITION if i else _POSITION / _START_M
-        cost += weight * (x**2 + y**2) + _CURVATURE * (ca.tan(here[3]) / size[0]) ** 2
+        if i == 0:
+            rows += [x, y]  # the plan has to begin where the vehicle was recorded
+        cost += _POSITION * (x**2 + y**2) + _HEADING * (here[2] - headings[i]) ** 2
+        cost += _CURVATURE * (ca.tan(here[3]) / size[0]) ** 2
     for i, held in enumerate(controls):
         rows.append(step(states[i], held, size[0]) - states[i + 1])
         cost += _STEERING_RATE * held[0] ** 2 + _JERK * held[1] ** 2
     x = ca.vertcat(*(ca.vertcat(*pair) for pair in zip(states, controls, strict=False)), states[-1])
     problem: dict[str, Any] = {
         "x": x,
-        "p": ca.vertcat(size, ca.vec(targets)),
+        "p": ca.vertcat(size, ca.vec(targets), headings),
         "f": cost,
         "g": ca.vertcat(*rows),
     }
