@@ -27,6 +27,7 @@ _END_PRICE, _GAP_PRICE = 50.0, 20.0
 _EVENNESS = 1.0  # price of squared changes of curvature
 _END_TOLERANCE = 1e-10
 _NUDGE = 1e-5
+_DECIMALS = 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +83,9 @@ def pull_taut(
     values = np.append(np.diff(halves) * (pieces / length), length)  # curvatures and the length
     values[[1, pieces - 1]] += values[[0, pieces]]
     values[[0, pieces]] = 0.0
-    return _exact(_optimised(values, start.as_array(), goal.as_array(), limits), start, goal)
+    values = _optimised(values, start.as_array(), goal.as_array(), limits)
+    # Rounded, so that the last digits do not depend on the processor.
+    return _exact(np.round(values, _DECIMALS), start, goal)
 
 
 def _optimised(values: FloatArray, start: FloatArray, goal: FloatArray, limits: Limits) -> FloatArray:
