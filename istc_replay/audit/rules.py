@@ -113,3 +113,21 @@ VEHICLE_RULES = (
         _levels("overspeed", "mps", "German tolerance", "German catalogue of fines", "German driving ban"),
     ),
 )
+
+#: Rules of data quality; their findings are inconclusive.
+DATA_RULES = (
+    "data_gap",
+    "data_stamps",
+    "data_clock_step",
+    "data_clock_drift",
+    "data_teleport",
+    "data_id_switch",
+    "data_heading",
+    "data_frozen",
+    "data_units",
+    "data_dimensions",
+    "data_overlap",
+)
+
+#: All rules in the order in which they are told.
+RULE_NAMES = (*(rule.name for rule in (*PAIR_RULES, PET_RULE, *VEHICLE_RULES)), *DATA_RULES)
