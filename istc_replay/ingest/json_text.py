@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 import json
 from collections.abc import Iterator
 from typing import Any
@@ -34,7 +33,9 @@ class JsonDecoder:
         """Decode the payloads that these spans of data hold."""
         raw = data.base if isinstance(data.base, bytes) else data.tobytes()
         payloads = [raw[start:end] for start, end in zip(starts.tolist(), ends.tolist(), strict=True)]
-        columns = None if self._items else self._fast(payloads)
+        # What is shorter than this cannot nest more deeply.
+        deep = int((ends - starts).max(initial=0)) > _BRACKETS and any(map(_is_deep, payloads))
+        columns = None if self._items or deep else self._fast(payloads)
         if columns is not None:
             return Decoded(np.arange(len(payloads)), columns, [])
         return self._exact(payloads)
@@ -43,9 +44,6 @@ class JsonDecoder:
 
     def _fast(self, payloads: list[bytes]) -> dict[str, Column] | None:
         """Read all payloads as one table; None where any of them is not as the first one is."""
-        long = (payload for payload in payloads if len(payload) > _BRACKETS)
-        if any(payload.count(b"{") + payload.count(b"[") > _BRACKETS for payload in long):
-            return None
         try:
             first = _load(payloads[0])
             schema = pl.Schema(_schema(self._root, first))
@@ -58,7 +56,7 @@ class JsonDecoder:
             # A line break may stand between the tokens of JSON, never within one.
             lines = b"\n".join(payload.replace(b"\n", b" ") for payload in payloads)
         try:
-            table = pl.read_ndjson(io.BytesIO(lines), schema=schema)
+            table = pl.read_ndjson(lines, schema=schema)
         except (pl.exceptions.PolarsError, ValueError, OverflowError):
             return None
         if table.height != len(payloads):
@@ -103,6 +101,10 @@ class JsonDecoder:
             item = dict(header)
             _gather(Node(node.children), part, item, "")
             yield item
+
+
+def _is_deep(payload: bytes) -> bool:
+    return payload.count(b"{") + payload.count(b"[") > _BRACKETS
 
 
 def _load(payload: bytes) -> dict[str, Any]:
