@@ -38,8 +38,14 @@ if TYPE_CHECKING:
 
 #: Time units by rule: of a scene, of traffic from coarse to fine, of traffic without any conflict.
 SCENE_UNIT_S, TRAFFIC_UNITS_S, CALM_UNIT_S = 1.0, (0.5, 0.25), 1.0
-#: Limits of layer 2 in traffic, where the configuration does not set them.
-TRAFFIC_LIMITS = {"acceleration_max_mps2": 3.5, "deceleration_max_mps2": 6.0}
+#: Limits and weights of layer 2 in traffic, where the configuration does not set them.
+TRAFFIC_LIMITS = {
+    "acceleration_max_mps2": 3.5,
+    "deceleration_max_mps2": 6.0,
+    "pivotal_x_weight": 20.0,
+    "pivotal_y_weight": 20.0,
+    "steering_rate_weight": 5.0,
+}
 #: Reasons of exclusion that tell of a road user whose motion is well known.
 AS_RECORDED = ("not_a_vehicle", "uncooperative")
 #: States this far outside a window still tell the state at its ends.
@@ -76,7 +82,10 @@ def check_states(log: Log) -> None:
 
 
 def settled_config(log: Log, config: Config) -> Config:
-    """The settings in force: in traffic, layer 2 may brake and speed up as recorded traffic does."""
+    """The settings in force: in traffic, layer 2 may brake and speed up as recorded traffic does.
+
+    It also keeps closer to its pivotal points, which lie on the road where nothing needs to change.
+    """
     limits = config.trajectories
     if not is_traffic(log, config.window):
         return config

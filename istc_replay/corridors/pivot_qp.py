@@ -46,7 +46,13 @@ class PivotQp:
         size = len(self._pivots)
         self._column = np.full(problem.size + 1, CONSTANT, dtype=np.int64)
         self._column[self._pivots] = np.arange(size)
-        rows = [row for row in problem.rows if all(self._column[i] != CONSTANT for i in row.index)]
+        column = self._column.tolist()
+        # A row is of one vehicle alone: most are out by their first index.
+        rows = [
+            row
+            for row in problem.rows
+            if column[row.index[0]] != CONSTANT and CONSTANT not in [column[i] for i in row.index]
+        ]
         matrix = np.zeros((len(rows), size))
         for r, row in enumerate(rows):
             matrix[r, self._column[list(row.index)]] = row.weight

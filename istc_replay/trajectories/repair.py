@@ -14,7 +14,7 @@ from typing import Any
 import casadi as ca
 import numpy as np
 
-from istc_replay.bicycle import simulate
+from istc_replay.bicycle import dense_motion
 from istc_replay.config import TrajectoriesConfig
 from istc_replay.datatypes import FloatArray, Participant, SolveRecord, SolveStatus, read_only
 from istc_replay.geometry import shift_along
@@ -184,10 +184,11 @@ def _motion(
     origin_m: FloatArray,
 ) -> RepairedMotion:
     size, recording = participant.dimensions, participant.recording
-    fine = np.repeat(controls, _SUBSTEPS, axis=0)
-    states = simulate(start, fine, step_s / _SUBSTEPS, size.wheelbase_m)
+    dense, _, _ = dense_motion(start, controls, step_s, size.wheelbase_m, step_s / _SUBSTEPS)
+    states = np.vstack([dense[:, :-1].reshape(-1, 6), dense[-1, -1]])
+    per_interval = dense.shape[1] - 1
     centres = shift_along(states[:, 0], states[:, 1], states[:, 2], size.rear_axle_to_centre_m) + origin_m
-    times = np.asarray(first_s + np.arange(len(states)) * (step_s / _SUBSTEPS), dtype=np.float64)
+    times = np.asarray(first_s + np.arange(len(states)) * (step_s / per_interval), dtype=np.float64)
     off = np.asarray(centres) - np.asarray(_at(recording.times_s, recording.poses[:, :2], times))
     away = np.hypot(off[:, 0], off[:, 1])
     poses = np.column_stack([centres, states[:, 2]])
