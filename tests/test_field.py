@@ -1,0 +1,296 @@
+"""Recorded traffic: every rule by which it is prepared, and who stays as recorded when a plan fails."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+
+from istc_replay.config import Config
+from istc_replay.coordinate import Planners, plan_span, plan_window
+from istc_replay.datatypes import Log, StaticScene, Trajectory, WindowPlan, WindowStatus
+from istc_replay.field import lateral_excursion_m, least_cover, prepare
+from istc_replay.pipeline import Replay, replay_read
+from istc_replay.road_frame import Body, conflicts, heading_slack, road_yaw
+from istc_replay.scenario import build_scenario, build_scenarios, settled_config, window_spans
+from istc_replay.states import STATES_SCHEMA, conform
+from istc_replay.trajectories.repair import RecordingRepairer
+
+FAST = Config.model_validate({"corridors": {"mode": "fast"}})
+
+
+def driver(
+    vehicle_id: str,
+    lane_m: float = 0.0,
+    ahead_m: float = 0.0,
+    speed_mps: float = 12.0,
+    seconds: float = 4.0,
+    **columns: Any,
+) -> pl.DataFrame:
+    """A car that drives along its lane of a straight road to the east."""
+    count = round(seconds * 10) + 1
+    times = np.arange(count) / 10.0
+    values = {
+        "vehicle_id": [vehicle_id] * count,
+        "time_ns": np.round(times * 1e9).astype(np.int64),
+        "x_m": ahead_m + speed_mps * times,
+        "y_m": np.full(count, lane_m),
+        "heading_rad": np.zeros(count),
+        "speed_mps": np.full(count, speed_mps),
+        "length_m": np.full(count, 4.5),
+        "width_m": np.full(count, 1.8),
+        "role": ["vehicle"] * count,
+    } | columns
+    return conform(pl.DataFrame(values), STATES_SCHEMA)
+
+
+def log_of(*tracks: pl.DataFrame) -> Log:
+    """A log of field data: nothing of a scene is told."""
+    states = pl.concat(tracks)
+    return Log("field.mcap", "0" * 64, True, 0, 0, 0, 0, 0, 0, (), states, StaticScene(), ())
+
+
+def turned(log: Log, angle_rad: float, shift_m: tuple[float, float]) -> Log:
+    """The log turned about the origin and shifted."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    x, y = pl.col("x_m"), pl.col("y_m")
+    states = log.states.with_columns(
+        x_m=c * x - s * y + shift_m[0],
+        y_m=s * x + c * y + shift_m[1],
+        heading_rad=pl.col("heading_rad") + angle_rad,
+    )
+    return replace(log, states=states)
+
+
+def planned(log: Log, config: Config = FAST) -> WindowPlan:
+    """The plan of the log's first window."""
+    settled = settled_config(log, config)
+    return plan_span(log, settled, window_spans(log, settled)[0], Planners(settled))
+
+
+def replayed(log: Log, config: Config = FAST) -> tuple[Replay, dict[str, Any]]:
+    """The replay of a log and its one window."""
+    done = replay_read(log, config)
+    assert len(done.summary["windows"]) == 1
+    return done, done.summary["windows"][0]
+
+
+def map_motion(plan: WindowPlan) -> dict[str, np.ndarray]:
+    """Planned rear axles (S, 2) in the map frame."""
+    frame = plan.scenario.window.frame
+    c, s = np.cos(frame.yaw_rad), np.sin(frame.yaw_rad)
+    turn = np.array([[c, -s], [s, c]])
+    return {t.vehicle_id: t.states[:, :2] @ turn.T + (frame.x_m, frame.y_m) for t in plan.trajectories}
+
+
+# A slower car ahead of a faster one that swerves beside it, and one in the next lane.
+BUSY = log_of(
+    driver("1"), driver("2", 3.7, 2.0, 11.0), driver("3", 0.6, 14.0, 9.5), driver("4", 7.0, -3.0, 13.0)
+)
+
+
+def test_a_slow_log_is_a_scene_and_a_fast_one_traffic() -> None:
+    slow, fast = log_of(driver("1", speed_mps=5.0)), log_of(driver("1"))
+    assert [next(iter(build_scenarios(log, Config()))).traffic for log in (slow, fast)] == [False, True]
+    told = replace(fast, scene=replace(fast.scene, bounds=None, vehicles=BUSY.scene.vehicles))
+    assert next(iter(build_scenarios(told, Config(window={"rules": "scene"})))).window.unit_s == 1.0
+
+
+def test_the_time_unit_is_long_only_where_the_recording_has_no_conflict_at_it() -> None:
+    calm = log_of(driver("1"), driver("2", 8.0))
+    close = log_of(driver("1"), driver("2", 0.0, 9.0))
+    assert next(iter(build_scenarios(calm, Config()))).window.unit_s == 1.0
+    assert next(iter(build_scenarios(close, Config()))).window.unit_s == 0.5
+    assert next(iter(build_scenarios(close, Config(window={"unit_s": 0.25})))).window.unit_s == 0.25
+
+
+def test_the_frame_turns_to_the_road() -> None:
+    log = turned(BUSY, np.radians(41.0), (0.0, 0.0))
+    yaw = next(iter(build_scenarios(log, Config()))).window.frame.yaw_rad
+    assert np.degrees(yaw) % 90.0 == pytest.approx(41.0, abs=1.1)
+    assert next(iter(build_scenarios(log, Config(window={"frame": "map"})))).window.frame.yaw_rad == 0.0
+
+
+def test_cars_side_by_side_at_an_angle_conflict_only_in_the_maps_frame() -> None:
+    along = np.linspace(0.0, 40.0, 9)
+    bodies = []
+    for lane in (0.0, 3.0):
+        points = (
+            np.stack([along, np.full(9, lane)], axis=-1) @ np.array([[1.0, 1.0], [-1.0, 1.0]]) / np.sqrt(2.0)
+        )
+        bodies.append(Body(0, np.column_stack([points, np.full(9, np.pi / 4)]), 4.5, 1.8))
+    yaw = road_yaw(bodies, 8, 0.5)
+    assert conflicts(bodies, 8, 0.5, 0.0)[0] == 1
+    assert conflicts(bodies, 8, 0.5, yaw) == (0, 0, 0.0)
+
+
+@pytest.mark.parametrize("angle_deg", [23.0, 45.0, 131.0, -78.0])
+def test_a_turned_and_shifted_log_has_the_same_plan(angle_deg: float) -> None:
+    angle, shift = np.radians(angle_deg), (3_000.0, -7_000.0)
+    original, other = map_motion(planned(BUSY)), map_motion(planned(turned(BUSY, angle, shift)))
+    c, s = np.cos(angle), np.sin(angle)
+    turn = np.array([[c, -s], [s, c]])
+    assert original.keys() == other.keys() == {"1", "2", "3", "4"}
+    for vehicle, motion in original.items():
+        np.testing.assert_allclose(other[vehicle], motion @ turn.T + shift, atol=0.02)
+
+
+def test_where_nothing_needs_to_change_the_plan_is_the_recording() -> None:
+    plan = planned(log_of(driver("1"), driver("2", 4.0, 3.0)))
+    for trajectory, participant in zip(plan.trajectories, plan.scenario.participants, strict=True):
+        recorded = participant.recording
+        at = np.stack([np.interp(trajectory.times_s, recorded.times_s, c) for c in recorded.poses.T], axis=-1)
+        ahead = trajectory.dimensions.rear_axle_to_centre_m
+        heading = trajectory.states[:, 2]
+        centres = trajectory.states[:, :2] + ahead * np.stack([np.cos(heading), np.sin(heading)], axis=-1)
+        np.testing.assert_allclose(centres, at[:, :2], atol=0.05)
+
+
+def test_headings_are_held_narrow_at_speed_and_after_the_start() -> None:
+    at = np.arange(9)[:, None] * np.array([[1.0, 0.0, 0.0]])
+    slow, fast = heading_slack(at * 2.0, 0.5), heading_slack(at * 10.0, 0.5)
+    assert np.degrees(slow[0]) == pytest.approx(np.degrees(0.22 * 0.125))
+    assert slow[-1] == pytest.approx(np.arctan(1.5 * 0.5 / 4.0))
+    assert fast[-1] == pytest.approx(np.arctan(1.5 * 0.5 / 20.0))
+    assert (np.diff(slow[:3]) >= 0.0).all()
+
+
+def test_the_gap_is_lowered_to_what_was_recorded_and_the_certificate_holds_it() -> None:
+    close = log_of(driver("1"), driver("2", 2.0))  # 0.2 m from side to side
+    done, window = replayed(close)
+    assert window["status"] == "certified"
+    assert window["vehicle_gap_m"] == pytest.approx(0.15, abs=0.03)
+    check = next(c for c in window["certificate"]["checks"] if c["check"] == "cubes_disjoint")
+    assert f"promised {window['vehicle_gap_m']:g} m" in check["detail"]
+    assert done.exit_code == 0
+
+
+def test_a_pair_without_a_way_is_named_and_the_others_are_planned_around_it() -> None:
+    ghost = driver("9", 0.5, 1.0)  # recorded through vehicle 1
+    done, window = replayed(log_of(driver("1"), driver("2", 5.0), driver("3", -6.0), ghost))
+    assert window["status"] == "partial"
+    frozen = {entry["vehicle_id"]: entry for entry in window["frozen"]}
+    assert set(frozen) == {"1", "9"}
+    assert all(entry["reason"] == "no_relation" for entry in frozen.values())
+    assert (window["vehicles_certified"], window["vehicles_plannable"], window["vehicles_present"]) == (
+        2,
+        4,
+        4,
+    )
+    assert window["certificate"]["verdict"] == "pass"
+    assert set(done.result.obstacles["obstacle_id"].unique()) == {"1", "9"}
+    of_plans = done.result.states.filter(pl.col("source") == "planned")
+    assert set(of_plans["vehicle_id"].unique()) == {"2", "3"}
+    assert done.exit_code == 4
+
+
+def test_the_fewest_vehicles_give_way() -> None:
+    participants = planned(BUSY).scenario.participants
+    assert least_cover([("1", "2"), ("2", "3"), ("2", "4")], participants) == ("2",)
+    assert least_cover([("1", "wall"), ("1", "2")], participants) == ("1",)
+    assert least_cover([], participants) == ()
+
+
+def test_roles_and_minimal_data_decide_who_is_planned() -> None:
+    standing = np.zeros(41)
+    rare = driver("rare", 16.0).gather_every(5)
+    log = log_of(
+        driver("1"),
+        driver("2", 4.0),
+        driver("parked", -6.0, 60.0, speed_mps=0.0),
+        driver("back", -12.0, speed_mps=-2.0),
+        driver("liar", 12.0, x_m=standing + np.arange(41) * 0.5),
+        driver("walker", 20.0, 5.0, 1.0, role=["pedestrian"] * 41),
+        rare,
+    )
+    config = Config(vehicles={"by_id": {"2": {"cooperative": False}}})
+    scenario = build_scenario(log, config, window_spans(log, config)[0], 0.5)
+    assert [p.vehicle_id for p in scenario.participants] == ["1"]
+    assert {e.vehicle_id: e.reason for e in scenario.excluded} == {
+        "2": "uncooperative",
+        "parked": "parked",
+        "back": "reversing",
+        "liar": "speed_mismatch",
+        "walker": "not_a_vehicle",
+        "rare": "low_rate",
+    }
+    boxes = {o.obstacle_id: o.boxes_m for o in scenario.obstacles}
+    assert set(boxes) == {"2", "parked", "back", "liar", "walker", "rare"}
+    assert np.isfinite(boxes["2"]).all()
+    width = boxes["2"][:, 1] - boxes["2"][:, 0]
+    np.testing.assert_allclose(width, 4.5 + 12.0 * 0.5, atol=0.2)
+
+
+def test_a_track_that_no_car_can_drive_is_an_obstacle() -> None:
+    jump = np.where(np.arange(41) < 20, 6.0, 9.5)  # changes lanes within a tenth of a second
+    done, window = replayed(log_of(driver("1"), driver("2", y_m=jump)))
+    assert [(e["vehicle_id"], e["reason"]) for e in window["exclusions"]] == [("2", "undrivable_track")]
+    assert (window["status"], window["vehicles_plannable"]) == ("certified", 1)
+    assert done.result.obstacles["obstacle_id"].unique().to_list() == ["2"]
+
+
+def test_a_noisy_recording_is_repaired_to_a_drivable_one() -> None:
+    noise = np.random.default_rng(4).normal(0.0, 0.05, (2, 41))
+    straight = driver("1")
+    log = log_of(straight.with_columns(x_m=pl.col("x_m") + noise[0], y_m=pl.col("y_m") + noise[1]))
+    scenario = build_scenario(log, Config(), window_spans(log, Config())[0], 0.5)
+    limits = settled_config(log, Config()).trajectories
+    motion, record = RecordingRepairer(limits).repair(scenario.participants[0], 0.5, 20.0)
+    assert motion is not None
+    assert record.stage == "repair"
+    assert motion.deviation_m < 0.25
+    assert np.hypot(*(motion.poses[0, :2] - scenario.participants[0].recording.poses[0, :2])) < 0.04
+    acceleration = np.diff(motion.speeds_mps) / np.diff(motion.times_s)
+    assert acceleration.max() <= limits.acceleration_max_mps2 + 1e-6
+    assert acceleration.min() >= -limits.deceleration_max_mps2 - 1e-6
+
+
+def test_an_excursion_is_measured_across_the_path_and_beyond_its_ends() -> None:
+    plan = planned(log_of(driver("1")))
+    trajectory, guide = plan.trajectories[0], plan.guidance[0]
+
+    def moved(along: float, across: float) -> Trajectory:
+        heading = trajectory.states[0, 2]
+        c, s = np.cos(heading), np.sin(heading)
+        states = trajectory.states.copy()
+        states[:, 0] += along * c - across * s
+        states[:, 1] += along * s + across * c
+        return replace(trajectory, states=states)
+
+    assert lateral_excursion_m(moved(0.0, 0.7), guide) == pytest.approx(0.7, abs=0.02)
+    assert lateral_excursion_m(moved(30.0, 0.0), guide) == pytest.approx(0.0, abs=0.02)
+    assert lateral_excursion_m(moved(-30.0, -2.0), guide) == pytest.approx(2.0, abs=0.02)
+
+
+def test_a_plan_beyond_its_lateral_bound_is_not_accepted() -> None:
+    # The car behind is too fast to stay behind: recorded to pass through, it could only swerve.
+    log = log_of(driver("1", 0.0, 0.0, 14.0), driver("2", 0.0, 12.0, 4.0))
+    for lateral in (1.5, 0.2):
+        tight = FAST.model_copy(
+            update={"corridors": FAST.corridors.model_copy(update={"lateral_m": lateral})}
+        )
+        plan = planned(log, tight)
+        guides = {g.vehicle_id: g for g in plan.guidance}
+        for trajectory in plan.trajectories:
+            assert lateral_excursion_m(trajectory, guides[trajectory.vehicle_id]) <= lateral
+
+
+def test_constant_speed_remains_a_choice_for_traffic() -> None:
+    config = FAST.model_copy(update={"guidance": FAST.guidance.model_copy(update={"law": "constant"})})
+    scenario = next(iter(build_scenarios(BUSY, config)))
+    plan = plan_window(scenario, config, Planners(config).of(scenario))
+    assert plan.status is WindowStatus.NOT_CERTIFIED
+    assert all(g.slack_rad is None for g in plan.guidance)
+
+
+def test_preparation_keeps_neighbours_narrow() -> None:
+    log = log_of(driver("1"), driver("2", 2.2), driver("3", 12.0))
+    config = settled_config(log, Config())
+    scenario = build_scenario(log, config, window_spans(log, config)[0], 0.5)
+    ready = prepare(scenario, config, RecordingRepairer(config.trajectories), 20.0)
+    slack = {g.vehicle_id: np.degrees(np.asarray(g.slack_rad)) for g in ready.guidance}
+    assert slack["1"].max() == pytest.approx(1.5, abs=0.05)
+    assert slack["3"].max() > 3.0
