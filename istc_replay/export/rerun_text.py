@@ -138,7 +138,7 @@ def _gap(gaps: dict[str, float], vehicle_id: str) -> str:
 def _exclusions(span: Span) -> str:
     rows = [
         (escaped(label(e["vehicle_id"])), escaped(f"{e['reason']}: {e['detail']}"))
-        for e in span.summary["exclusions"]
+        for e in (*span.summary.get("frozen", []), *span.summary["exclusions"])
     ]
     return "### Not planned\n\n" + _table(("vehicle", "why"), rows) if rows else ""
 
@@ -240,7 +240,7 @@ def _input_events(stage: Stage) -> list[Event]:
 
 def _window_events(span: Span) -> list[Event]:
     w, start = span.summary, span.start_ns
-    solved = w["status"] in ("certified", "not_certified")
+    solved = w["status"] in ("certified", "partial", "not_certified")
     level = (
         "INFO" if w["status"] == "certified" else "WARN" if solved or not w["vehicles_plannable"] else "ERROR"
     )
@@ -250,6 +250,9 @@ def _window_events(span: Span) -> list[Event]:
         + (f": {w['reason']}" if w["reason"] else "")
     )
     events = [Event(start, "windows", level, text)]
+    for e in w.get("frozen", [])[:_ROWS]:
+        text = f"vehicle {label(e['vehicle_id'])} stays as recorded: {e['reason']}: {e['detail']}"
+        events.append(Event(start, "frozen", "WARN", text))
     for e in w["exclusions"][:_ROWS]:
         text = f"vehicle {label(e['vehicle_id'])} is not planned: {e['reason']}: {e['detail']}"
         events.append(Event(start, "excluded", "WARN", text))

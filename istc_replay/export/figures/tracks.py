@@ -16,7 +16,7 @@ from istc_replay.geometry import box_corners, to_map
 from istc_replay.units import NS_PER_S
 
 #: Only these windows have a plan to show.
-PLANNED = (WindowStatus.CERTIFIED, WindowStatus.NOT_CERTIFIED)
+PLANNED = (WindowStatus.CERTIFIED, WindowStatus.PARTIAL, WindowStatus.NOT_CERTIFIED)
 #: Past this distance from the origin of the map a coordinate cannot be a place [m].
 _FAR_M = 1e8
 _WALLS = ("x_min_m", "x_max_m", "y_min_m", "y_max_m")
@@ -163,7 +163,10 @@ def window_scene(result: Result, window: int) -> WindowScene:
         origin_m=origin_m,
         styles=vehicle_styles(
             result.states["vehicle_id"].unique().drop_nulls(),
-            {str(left.get("vehicle_id")) for left in entry.get("exclusions") or []},
+            {
+                str(left.get("vehicle_id"))
+                for left in (*(entry.get("frozen") or []), *(entry.get("exclusions") or []))
+            },
         ),
         recorded=tracks["recorded"],
         planned=tracks["planned"] if has_plan else {},

@@ -55,20 +55,27 @@ class Verdict:
 def verdict_of(entry: dict[str, Any], certificates: Sequence[dict[str, Any]], separation_m: float) -> Verdict:
     """Judge a window by its status and its certificates; the worse of both counts."""
     status = entry.get("status")
-    if status not in (WindowStatus.CERTIFIED, WindowStatus.NOT_CERTIFIED):
+    sound = status in (WindowStatus.CERTIFIED, WindowStatus.PARTIAL)
+    if not sound and status != WindowStatus.NOT_CERTIFIED:
         tone, short, words = _WITHOUT_PLAN.get(str(status), ("bad", "✗ no plan", "✗ No plan."))
         return Verdict(tone, short, join([words]), {}, has_plan=False)
     failed = [row["check"] for row in certificates if row["verdict"] == "fail"]
     unjudged = [row["check"] for row in certificates if row["verdict"] == "inconclusive"]
     planned = _planned(entry, certificates, separation_m)
-    if status == WindowStatus.CERTIFIED and not failed and not unjudged and certificates:
+    if sound and not failed and not unjudged and certificates:
         counts = [number(entry.get(f"vehicles_{which}")) for which in ("certified", "plannable", "present")]
         words = "✓ Certified: {} of {} plannable vehicles have plans that pass every check; {} are present."
+        if status == WindowStatus.PARTIAL:
+            words = (
+                "✓ Partial: {} of {} plannable vehicles have plans that pass every check, around the others "
+                "as recorded; {} are present."
+            )
+            return Verdict("open", "✓ partial", join([words.format(*counts)]), planned, has_plan=True)
         return Verdict("good", "✓ certified", join([words.format(*counts)]), planned, has_plan=True)
     faults = [join(["checks that fail: ", names(failed)])] if failed else []
     faults += [join(["checks that cannot be judged: ", names(unjudged)])] if unjudged else []
     faults += [] if certificates else [join(["no check was made"])]
-    said = ", although its status says so" if status == WindowStatus.CERTIFIED else ""
+    said = ", although its status says so" if sound else ""
     sentence = join(
         [f"✗ Not certified{said}: there is a plan, but it is not proven; ", join(faults, "; "), "."]
     )

@@ -119,7 +119,7 @@ def _units(vehicle: Row) -> str:
 
 
 def _exclusions(entry: Row) -> Html | None:
-    exclusions = entry.get("exclusions") or []
+    exclusions = [*(entry.get("frozen") or []), *(entry.get("exclusions") or [])]
     if not exclusions:
         return None
     rows = [
