@@ -6,8 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from istc_replay.datatypes import FloatArray
+from istc_replay.errors import LogError
 
 IntArray = NDArray[np.int64]
+
+_MOST_PAIRS = 10_000_000
 
 
 def reach_hulls(
@@ -63,6 +66,11 @@ def overlapping_pairs(low: FloatArray, high: FloatArray, groups: IntArray) -> tu
     -------
     first, second : ndarray
         Rows, first < second, in order.
+
+    Raises
+    ------
+    LogError
+        If there are too many for the memory.
     """
     known = np.flatnonzero(np.isfinite(low.sum(axis=1) + high.sum(axis=1)))
     if known.size < 2:
@@ -79,7 +87,7 @@ def overlapping_pairs(low: FloatArray, high: FloatArray, groups: IntArray) -> tu
     )
     group = groups[order]
     alive = np.arange(order.size)
-    firsts, seconds = [], []
+    firsts, seconds, count = [], [], 0
     for step in range(1, order.size):
         alive = alive[alive + step < order.size]
         later = alive + step
@@ -88,6 +96,12 @@ def overlapping_pairs(low: FloatArray, high: FloatArray, groups: IntArray) -> tu
         if alive.size == 0:
             break
         met = (other_low[later] <= other_high[alive]) & (other_low[alive] <= other_high[later])
+        count += int(met.sum())
+        if count > _MOST_PAIRS:
+            raise LogError(
+                f"more than {_MOST_PAIRS} pairs of bodies are near each other at once; "
+                "audit fewer vehicles, or with smaller audit.horizon_s and audit.near_m"
+            )
         firsts.append(order[alive[met]])
         seconds.append(order[later[met]])
     one = np.concatenate(firsts) if firsts else np.empty(0, dtype=np.int64)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import polars as pl
@@ -62,15 +62,21 @@ def _stamps(topic: str, rows: pl.DataFrame) -> list[Clock]:
     steps = rows.select("vehicle_id", "time_ns", before=pl.col("time_ns").shift(1).over("vehicle_id")).filter(
         pl.col("time_ns") <= pl.col("before")
     )
-    # One clock is behind a message's vehicles: their jumps are told once.
+    # One clock is behind a message's vehicles: their jumps are told once, and neighbours together.
     jumps = steps.group_by("time_ns", "before", maintain_order=True).agg(pl.col("vehicle_id").sort())
-    found = []
-    for time, before, vehicles in jumps.iter_rows():
-        back = (before - time) / NS_PER_S
+    found: list[Clock] = []
+    last: dict[tuple[str, ...], int] = {}
+    for time, before, names in jumps.sort("time_ns", maintain_order=True).iter_rows():
+        vehicles, back = tuple(names), (before - time) / NS_PER_S
         detail = f"a stamp goes back by {back:.6g} s" if back else "a stamp repeats"
-        found.append(
-            Clock("data_stamps", topic, tuple(vehicles), time, time, before, back, "s", 0.0, "ours", detail)
-        )
+        clock = Clock("data_stamps", topic, vehicles, time, time, before, back, "s", 0.0, "ours", detail)
+        known = found[last[vehicles]] if vehicles in last else None
+        if known is None or known.end_ns + NS_PER_S < time:
+            last[vehicles] = len(found)
+            found.append(clock)
+            continue
+        largest = clock if back > known.value else known
+        found[last[vehicles]] = replace(largest, start_ns=known.start_ns, end_ns=max(known.end_ns, before))
     return found
 
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from istc_replay.audit.boxes import box_gap
+from istc_replay.audit.broad_phase import overlapping_pairs
 from istc_replay.audit.relation import conflict_angle
 from istc_replay.datatypes import FloatArray
 
@@ -18,6 +19,8 @@ IntArray = NDArray[np.int64]
 
 #: Candidate pairs of footprints looked at in one go.
 _BLOCK = 1_000_000
+#: Times are differences of what was counted from another start.
+_ROUNDING_S = 1e-9
 
 
 def encroachments(
@@ -63,27 +66,30 @@ def encroachments(
         target = np.searchsorted(numbers, numbers + lag)
         there = (target < numbers.size) & (numbers[np.minimum(target, numbers.size - 1)] == numbers + lag)
         rows = np.flatnonzero(there)
-        for part in np.array_split(rows, max(1, rows.size * boxes.shape[1] ** 2 // _BLOCK)):
-            other = target[part]
-            met = _met(block_low[part], block_high[part], block_low[other], block_high[other])
-            block, first, second = np.nonzero(met)
-            spans = (starts[part[block]], ends[part[block]], starts[other[block]], ends[other[block]])
-            found += _footprints(boxes, times_s, spans, (first, second), longest_s, least_angle_rad)
+        other = target[rows]
+        hulls = (block_low[rows], block_high[rows], block_low[other], block_high[other])
+        block, first, second = _block_pairs(*hulls)
+        spans = (starts[rows[block]], ends[rows[block]], starts[other[block]], ends[other[block]])
+        found += _footprints(boxes, times_s, spans, (first, second), longest_s, least_angle_rad)
     if not found:
         return empty, empty, empty, empty
     return _nearest(np.concatenate(found, axis=1))
 
 
-def _met(
+def _block_pairs(
     low: FloatArray, high: FloatArray, other_low: FloatArray, other_high: FloatArray
-) -> NDArray[np.bool_]:
-    """(b, V, V) whether the hull of one vehicle and that of another overlap; never with itself."""
-    met = np.ones((low.shape[0], low.shape[1], low.shape[1]), dtype=bool)
-    for axis in (0, 1):
-        met &= low[:, :, None, axis] <= other_high[:, None, :, axis]
-        met &= other_low[:, None, :, axis] <= high[:, :, None, axis]
-    met[:, np.arange(low.shape[1]), np.arange(low.shape[1])] = False
-    return met
+) -> tuple[IntArray, IntArray, IntArray]:
+    """Blocks and vehicles where the hull of one (b, V, 2) and that of another one overlap."""
+    blocks, vehicles = low.shape[:2]
+    lows = np.concatenate([low.reshape(-1, 2), other_low.reshape(-1, 2)])
+    highs = np.concatenate([high.reshape(-1, 2), other_high.reshape(-1, 2)])
+    own = blocks * vehicles
+    one, two = overlapping_pairs(lows, highs, np.tile(np.repeat(np.arange(blocks), vehicles), 2))
+    across = (one < own) & (two >= own)
+    one, two = one[across], two[across] - own
+    differ = one % vehicles != two % vehicles
+    one, two = one[differ], two[differ]
+    return one // vehicles, one % vehicles, two % vehicles
 
 
 def _footprints(
@@ -107,7 +113,7 @@ def _footprints(
         earlier, later = spans[0][row] + place // width, spans[2][row] + place % width
         first, second = vehicles[0][row], vehicles[1][row]
         apart = times_s[later] - times_s[earlier]
-        keep = (apart >= 0.0) & (apart <= longest_s)
+        keep = (apart >= 0.0) & (apart <= longest_s + _ROUNDING_S)
         earlier, later, first, second = (x[keep] for x in (earlier, later, first, second))
         a, b = boxes[earlier, first], boxes[later, second]
         with np.errstate(invalid="ignore"):

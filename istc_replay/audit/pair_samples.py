@@ -17,13 +17,16 @@ from istc_replay.audit.rss import RssParameters, rss_margin, safe_distance_same
 from istc_replay.audit.swept import pair_measures, silhouette_overlap
 from istc_replay.audit_config import AuditConfig
 from istc_replay.datatypes import FloatArray
+from istc_replay.errors import LogError
 from istc_replay.states import PAIR_SAMPLES_SCHEMA, conform
 from istc_replay.units import NS_PER_S
 
 IntArray = NDArray[np.int64]
 
 #: States of all bodies worked on at once; this bounds the memory whatever the log's length.
-_CHUNK_STATES = 50_000
+_CHUNK_STATES = 20_000
+#: Pair samples of one log.
+_MOST_SAMPLES = 20_000_000
 #: Footprints kept for the post-encroachment times reach this much further than the longest one.
 _HALO_S = 0.1
 
@@ -124,6 +127,8 @@ def sample_pairs(bodies: list[Body], times_ns: IntArray, audit: AuditConfig) -> 
         boxes[..., 2] += np.where(speeds < 0.0, np.pi, 0.0)
         speeds = np.abs(speeds)
         names = np.asarray(here, dtype=np.int64)
+        if sum(part["first"].size for part in rows) > _MOST_SAMPLES:
+            raise LogError(f"the log has more than {_MOST_SAMPLES} pair samples; audit it in parts")
         rows.append(_chunk_pairs(boxes[: own.size], speeds[: own.size], bounds, own, names, audit))
         left.append(_chunk_encroachments(boxes, chunk, own[-1], names, audit))
     return _pairs(rows), _encroachments(left)

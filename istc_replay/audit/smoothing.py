@@ -5,10 +5,12 @@ from __future__ import annotations
 from itertools import pairwise
 
 import numpy as np
-from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from istc_replay.datatypes import FloatArray
+
+#: Even stamps for each recorded one, at most.
+_MOST_EVEN = 4
 
 
 def smoothed(
@@ -35,8 +37,10 @@ def smoothed(
     value, rate, curvature : ndarray
         (n,) each; NaN for samples nearer to an end of their piece than half a window.
     """
-    kernels = _kernels(window)
     out = np.full((3, values.size), np.nan)
+    if values.size < window:
+        return out[0], out[1], out[2]
+    kernels = _kernels(window)
     finite = np.isfinite(values)
     cut = np.flatnonzero((np.diff(pieces) != 0) | (np.diff(finite.astype(np.int8)) != 0)) + 1
     edges = np.concatenate([[0], cut, [values.size]])
@@ -60,13 +64,14 @@ def _kernels(window: int) -> FloatArray:
 
 
 def _piece(times: FloatArray, values: FloatArray, kernels: FloatArray) -> FloatArray:
-    step = float(np.median(np.diff(times)))
-    count = round((times[-1] - times[0]) / step) + 1
-    window = kernels.shape[1]
-    even = times[0] + step * np.arange(max(count, window))
+    window, duration = kernels.shape[1], times[-1] - times[0]
+    # However odd the stamps, the even ones are no more than a few times as many.
+    step = max(float(np.median(np.diff(times))), duration / (_MOST_EVEN * times.size))
+    even = times[0] + step * np.arange(max(round(duration / step) + 1, window))
     # About the first value: what is far from zero would lose digits.
-    views = sliding_window_view(np.interp(even, times, values - values[0]), window)
-    fitted = (views @ kernels.T).T / np.array([[1.0], [step], [step**2]])
+    spaced = np.interp(even, times, values - values[0])
+    fitted = np.stack([np.correlate(spaced, kernel, "valid") for kernel in kernels])
+    fitted /= np.array([[1.0], [step], [step**2]])
     fitted[0] += values[0]
     half = window // 2
     middle = even[half : even.size - half]

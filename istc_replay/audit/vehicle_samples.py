@@ -20,6 +20,8 @@ from istc_replay.units import NS_PER_S, wrap_angle
 _TURNING_MPS = 1.0
 #: Steps whose median is the usual pace.
 _PACES = 7
+#: Longest fit, reached above 600 samples a second.
+_MOST_SAMPLES = 501
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,7 +119,7 @@ def fit_samples(period_s: float, audit: AuditConfig) -> int:
     if period_s <= 0.0:
         return audit.smoothing_samples
     spanning = int(np.ceil(audit.smoothing_s / period_s - 1e-6)) + 1
-    return max(audit.smoothing_samples, spanning + (spanning + 1) % 2)
+    return max(audit.smoothing_samples, min(spanning + (spanning + 1) % 2, _MOST_SAMPLES))
 
 
 def vehicles_table(

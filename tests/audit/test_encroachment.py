@@ -47,7 +47,7 @@ def test_they_are_those_of_every_pair_of_footprints(seed: int) -> None:
                     if i != j
                     and known[k, i]
                     and known[m, j]
-                    and times[m] - times[k] <= 3.0
+                    and m - k <= 15  # 3 s
                     and conflict_angle(boxes[k, i, 2], boxes[m, j, 2]) >= 0.5
                     and shapes[k, i].intersects(shapes[m, j])
                 ]
