@@ -216,15 +216,19 @@ def _recorded_boxes(
 
 def _without(scenario: Scenario, dropped: Sequence[Participant]) -> Scenario:
     """Turn participants into obstacles that move as recorded."""
-    names = {p.vehicle_id for p in dropped}
-    moving = tuple(
-        Obstacle(p.vehicle_id, _recorded_boxes(p, p.recording.times_s, p.recording.poses, scenario))
-        for p in dropped
-    )
+    boxes = {
+        p.vehicle_id: _recorded_boxes(p, p.recording.times_s, p.recording.poses, scenario) for p in dropped
+    }
+    standing = {o.obstacle_id: o for o in scenario.obstacles}
+    for name, swept in boxes.items():
+        if name in standing:  # where it enters or leaves within a unit
+            before = standing[name].boxes_m
+            swept = read_only(np.where(np.isnan(swept), before, swept))
+        standing[name] = Obstacle(name, swept)
     return replace(
         scenario,
-        participants=tuple(p for p in scenario.participants if p.vehicle_id not in names),
-        obstacles=(*scenario.obstacles, *moving),
+        participants=tuple(p for p in scenario.participants if p.vehicle_id not in boxes),
+        obstacles=tuple(standing.values()),
     )
 
 

@@ -254,18 +254,20 @@ class _Builder:
         )
 
     def obstacle(self, vehicle_id: str) -> Obstacle | None:
-        """What a road user that is not planned sweeps as recorded; None where nothing is known."""
-        exclusion = self.excluded.get(vehicle_id)
-        if exclusion is None or not (self.traffic or exclusion.reason in AS_RECORDED):
+        """What a road user sweeps as recorded while it is not planned; None where nothing is known."""
+        exclusion, usable = self.excluded.get(vehicle_id), self.usable.get(vehicle_id)
+        if not (self.traffic or (exclusion is not None and exclusion.reason in AS_RECORDED)):
             return None
         known = known_states(self.states[(vehicle_id,)])
         if known.is_empty():
             return None
-        vulnerable = exclusion.reason == "not_a_vehicle"
+        vulnerable = exclusion is not None and exclusion.reason == "not_a_vehicle"
         size = self.size(vehicle_id)[0]
         box = _recorded_box(known) if vulnerable else (size.length_m, size.width_m)
-        boxes = swept_boxes(*known_poses(known, self.window), box, self.window)
-        return None if np.isnan(boxes).all() else Obstacle(vehicle_id, boxes)
+        boxes = np.array(swept_boxes(*known_poses(known, self.window), box, self.window))
+        if usable is not None:  # it enters before its first whole unit, or leaves after its last
+            boxes[usable.first_unit : usable.first_unit + usable.units] = np.nan
+        return None if np.isnan(boxes).all() else Obstacle(vehicle_id, read_only(boxes))
 
     def participant(self, vehicle_id: str) -> Participant:
         """A vehicle to plan."""
