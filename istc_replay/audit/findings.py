@@ -47,9 +47,11 @@ class Finding:
     detail: str
 
     def identity(self, bodies: list[Body]) -> str:
-        """A stable id: of the rule, who, and when it was worst."""
+        """A stable id: of the rule and its unit, who, and when it was worst."""
         who = "\x1f".join(bodies[row].name for row in self.bodies)
-        return hashlib.sha256(f"{self.rule}\x1e{who}\x1e{self.worst_ns}".encode()).hexdigest()[:16]
+        return hashlib.sha256(f"{self.rule}\x1e{self.unit}\x1e{who}\x1e{self.worst_ns}".encode()).hexdigest()[
+            :16
+        ]
 
 
 def pair_findings(
@@ -242,8 +244,10 @@ def vehicle_values(rule: Rule, body: Body, motion: Motion, audit: AuditConfig) -
         return None if audit.speed_limit_mps is None else np.abs(speed) - audit.speed_limit_mps
     if rule.name == "braking":
         # Slowing down is against the way it drives, forwards or backwards.
-        return np.asarray(-motion.acceleration_mps2 * np.where(speed < 0.0, -1.0, 1.0))
-    return np.asarray(np.abs(getattr(motion, rule.column)))
+        values = -motion.acceleration_mps2 * np.where(speed < 0.0, -1.0, 1.0)
+        return np.where(np.isfinite(values), values, np.nan)
+    values = np.abs(getattr(motion, rule.column))
+    return np.where(np.isfinite(values), values, np.nan)
 
 
 def issue_findings(issues: list[Issue], bodies: list[Body]) -> list[Finding]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
@@ -66,6 +67,8 @@ class Audit:
         return Verdict.INCONCLUSIVE if Verdict.INCONCLUSIVE in verdicts or nothing else Verdict.PASS
 
 
+# A log may hold any number: what overflows is not judged.
+@np.errstate(over="ignore", invalid="ignore", divide="ignore")
 def audit_log(log: Log, config: Config) -> Audit:
     """Audit the recorded traffic of a log.
 
@@ -112,12 +115,15 @@ def audit_log(log: Log, config: Config) -> Audit:
 
 
 def _findings_table(findings: list[Finding], names: dict[int, str], bodies: list[Body]) -> pl.DataFrame:
-    rows = []
+    rows, seen = [], Counter[str]()
     for finding in findings:
+        identity = finding.identity(bodies)
+        seen[identity] += 1
         topic, index = bodies[finding.bodies[0]].origin(finding.worst_ns)
         rows.append(
             {
-                "finding_id": finding.identity(bodies),
+                # The same twice, such as stamps of two topics: in the order of the topics.
+                "finding_id": identity if seen[identity] == 1 else f"{identity}-{seen[identity]}",
                 "rule": finding.rule,
                 "verdict": finding.verdict.value,
                 "severity": finding.severity,

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from istc_replay.audit.log_audit import Audit, audit_log
 from istc_replay.config import Config, parse_config
 from istc_replay.datatypes import Log, Verdict
+from istc_replay.errors import LogError
 from istc_replay.ingest.log import read_log
 from istc_replay.states import (
     COVERAGE_SCHEMA,
@@ -388,3 +389,42 @@ def test_contact_is_one_encroachment_of_zero_and_the_encounter_tells_how_near_th
     assert (row["least_pet_s"], row["least_gap_m"] < -0.5, row["severity"]) == (0.0, True, "critical")
     # Two of one size at right angles: half of 10 sqrt 2 each.
     assert row["delta_v_first_mps"] == pytest.approx(10 * np.sqrt(2) / 2)
+
+
+def test_how_a_log_is_cut_into_chunks_changes_nothing(
+    logs: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    log = logs.log_of(*calm(logs), *near_miss(logs), east(logs, "x", 20.0, 0.0, y_m=200.0))
+    whole = audit_log(log, Config())
+    monkeypatch.setattr("istc_replay.audit.pair_samples._CHUNK_STATES", 150)
+    cut = audit_log(log, Config())
+    for name in ("findings", "encounters", "pair_samples", "vehicle_samples", "coverage"):
+        assert getattr(whole, name).equals(getattr(cut, name))
+
+
+@pytest.mark.parametrize("kind", ["nanoseconds", "years", "wild", "huge", "one instant"])
+def test_odd_logs_are_audited_without_much_ado(kind: str, logs: SimpleNamespace) -> None:
+    rng = np.random.default_rng(4)
+    times = {
+        "nanoseconds": np.concatenate([np.arange(200) * 1e-9, [3.0]]),
+        "years": np.cumsum(rng.choice([0.1, 1e8], 60, p=[0.95, 0.05])),
+        "one instant": np.zeros(50),
+    }.get(kind, T)
+    parts = []
+    for name in ("a", "b", "c"):
+        x = rng.normal(0, 5, times.size)
+        if kind == "wild":
+            x = rng.choice([0.0, 1e300, -1e300, np.nan, np.inf], times.size)
+        speed = rng.normal(0, 1e308 if kind == "huge" else 5, times.size)
+        parts.append(logs.recorded(name, times, x_m=x, speed_mps=speed))
+    audit = audit_log(logs.log_of(*parts), Config())
+    assert set(audit.findings["verdict"]) <= {"fail", "inconclusive"}
+    assert audit.findings["finding_id"].n_unique() == audit.findings.height
+
+
+def test_a_crowd_too_dense_for_the_memory_is_refused_by_name(
+    logs: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("istc_replay.audit.broad_phase._MOST_PAIRS", 100)
+    with pytest.raises(LogError, match="pairs of bodies are near each other"):
+        audit_log(logs.log_of(*calm(logs)), Config())
