@@ -294,3 +294,14 @@ def test_preparation_keeps_neighbours_narrow() -> None:
     slack = {g.vehicle_id: np.degrees(np.asarray(g.slack_rad)) for g in ready.guidance}
     assert slack["1"].max() == pytest.approx(1.5, abs=0.05)
     assert slack["3"].max() > 3.0
+
+
+def test_who_enters_within_a_unit_is_an_obstacle_until_it_is_planned() -> None:
+    late = driver("2", 4.0).filter(pl.col("time_ns") >= 700_000_000)
+    log = log_of(driver("1"), late)
+    scenario = build_scenario(log, Config(), window_spans(log, Config())[0], 0.5)
+    assert [(p.vehicle_id, p.first_unit) for p in scenario.participants] == [("1", 0), ("2", 2)]
+    boxes = {o.obstacle_id: o.boxes_m for o in scenario.obstacles}
+    assert set(boxes) == {"2"}
+    assert np.isfinite(boxes["2"]).all(axis=1).tolist() == [False, True] + [False] * 6
+    assert boxes["2"][1, 1] - boxes["2"][1, 0] == pytest.approx(4.5 + 12.0 * 0.3, abs=0.1)
