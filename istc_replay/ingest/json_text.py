@@ -16,7 +16,7 @@ from istc_replay.ingest.wanted import Mapping, Node, tree
 
 #: Brackets in one payload that the fast reader is given: how deeply it may nest is not known.
 _BRACKETS = 2000
-_ITEMS = 100_000
+_ITEMS = 20_000
 _INT64 = 2**63
 #: What is told in whole numbers.
 _WHOLE = {"time", "time_ns", "vehicle_id"}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import polars as pl
 
 from istc_replay.config import Config
@@ -52,7 +53,9 @@ def read_log(path: Path, config: Config | None = None) -> Log:
         If nothing can be had: no such file, a directory, unreadable, or not MCAP.
     """
     file = open_log(path)
-    return _Reading(file, config or Config()).log(str(path))
+    # What comes out not finite is taken as unknown, so it needs no warning on the way.
+    with np.errstate(all="ignore"):
+        return _Reading(file, config or Config()).log(str(path))
 
 
 class _Reading:

@@ -37,8 +37,14 @@ _KINDS = {
     18: ("zigzag", 0),
 }
 _MESSAGE = 11
+#: Items of one message that are decoded.
+_ITEMS = 20_000
 #: What reading a foreign descriptor can raise.
 _FOREIGN = (AttributeError, KeyError, TypeError, ValueError)
+
+
+class _TooManyError(PayloadError):
+    """A message has more items than are decoded; written in another way, it has as many."""
 
 
 @dataclass(slots=True)
@@ -137,7 +143,10 @@ class ProtobufDecoder:
         # The reference library judges what could not be parsed, and writes it in the plain way.
         parts = [(decoded.rows, decoded.columns)]
         bad: list[tuple[int, PayloadError]] = []
-        for row, _ in decoded.bad:
+        for row, error in decoded.bad:
+            if isinstance(error, _TooManyError):
+                bad.append((row, error))
+                continue
             try:
                 plain = self._plain(data[starts[row] : ends[row]].tobytes())
                 alone = self._decode(*plain)
@@ -184,6 +193,11 @@ class ProtobufDecoder:
             spans = found[number]
             if depth < len(self._way) - 1:
                 bad |= _twice(spans.rows)
+        many = np.flatnonzero(np.bincount(spans.rows, minlength=1) > _ITEMS)
+        if len(many):
+            bad |= {row: _TooManyError(f"it has more than {_ITEMS} items") for row in many.tolist()}
+            few = ~np.isin(spans.rows, many)
+            spans = Spans(*(column[few] for column in spans))
         items = self._items.decode(data, spans.starts, spans.ends)
         bad |= {int(spans.rows[row]): error for row, error in items.bad}
         rows = spans.rows[items.rows]

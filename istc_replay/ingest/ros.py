@@ -10,7 +10,7 @@ from istc_replay.ingest.payload import PayloadError
 from istc_replay.ingest.wanted import Mapping, Node, check_found, missing, tree
 
 #: Parts of one payload, and levels of types in types, that are parsed.
-_PARTS = 200_000
+_PARTS = 100_000
 _DEPTH = 24
 
 
