@@ -236,7 +236,8 @@ def test_a_file_that_is_no_mcap_is_one_line(tmp_path: Path) -> None:
 def test_an_unknown_config_key_names_the_known_ones(tmp_path: Path) -> None:
     config = tmp_path / "c.toml"
     config.write_text("[corridors]\narea_wait = 1\n")
-    expect_failure(call("run", TURN_FIRST, "-c", config, "-o", tmp_path), 2, "corridors.area_wait", "area_weight")
+    done = call("run", TURN_FIRST, "-c", config, "-o", tmp_path)
+    expect_failure(done, 2, "corridors.area_wait", "area_weight")
     config.write_text('[corridors]\narea_weight = "much"\n')
     expect_failure(call("config", config), 2, "corridors.area_weight", "'much'")
 

@@ -92,7 +92,9 @@ def build_problem(
     """
     unit_s = scenario.window.unit_s
     reach_m = max(config.forward_m, speed_max_mps) * unit_s
-    blocks, rows, lower, upper = [], [], [], []
+    blocks: list[Block] = []
+    rows: list[Row] = []
+    lower, upper = [], []
     offset = 0
     for participant, guide in zip(scenario.participants, guidance, strict=True):
         slack = config.heading_slack_rad if guide.slack_rad is None else guide.slack_rad
