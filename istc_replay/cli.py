@@ -24,6 +24,8 @@ _INTERNAL_ERROR = 4
 _INTERRUPTED = 130
 _TABLE_FORMATS: tuple[Literal["parquet", "csv"], ...] = ("parquet", "csv")
 _FIGURE_FORMATS: tuple[Literal["png", "svg", "pdf"], ...] = ("png", "svg", "pdf")
+_AUDIT_FORMATS: tuple[Literal["parquet", "json", "md", "junit"], ...] = ("parquet", "json", "md", "junit")
+_SEVERITIES: tuple[Literal["minor", "serious", "critical"], ...] = ("minor", "serious", "critical")
 _FILE = click.Path(path_type=Path)
 _Format = TypeVar("_Format", bound=str)
 
@@ -166,6 +168,48 @@ def info(log: Path, as_json: bool, config_path: Path | None) -> int:
     else:
         _print(tell.info_lines(facts))
     return 0 if read.complete else 3
+
+
+@cli.command()
+@click.argument("source", type=_FILE)
+@click.option("-o", "--output", type=_FILE, help="Folder of the files; none are written without it.")
+@click.option(
+    "--fail-on",
+    type=click.Choice(_SEVERITIES),
+    default="serious",
+    show_default=True,
+    help="The least severity that counts as a finding for the exit code.",
+)
+@click.option(
+    "--format", "formats", default="parquet,json,md", show_default=True, help="parquet, json, md, junit."
+)
+@click.option("-c", "--config", "config_path", type=_FILE, help="Configuration (TOML), for a log.")
+def audit(
+    source: Path,
+    output: Path | None,
+    fail_on: Literal["minor", "serious", "critical"],
+    formats: str,
+    config_path: Path | None,
+) -> int:
+    """Audit the recorded behaviour in SOURCE, a log; of a result, certify its plans anew.
+
+    \b
+    Example:  istc-replay audit sample_logs/intersection_turn_first.mcap -o audit --fail-on serious
+    """
+    from istc_replay import pipeline
+    from istc_replay.config import load_config
+
+    chosen = _chosen(formats, _AUDIT_FORMATS)
+    if pipeline.is_result(source):
+        if output is not None or config_path is not None:
+            raise click.UsageError(f"{source} is a result: certifying it anew takes no -o and no -c")
+        certificates, code = pipeline.certify_again(source)
+        _print(tell.certificate_lines(certificates))
+        return code
+    text, code, files = pipeline.audit_read(source, load_config(config_path), output, chosen, fail_on)
+    _print(tell.line(text_line) for text_line in text.splitlines())
+    _print(tell.line(file) for file in files)
+    return code
 
 
 @cli.command()

@@ -280,12 +280,50 @@ def export_tables(
     """Write the tables of a log or a result; returns whether the source was whole, and the files."""
     from istc_replay.export.tables import log_tables, result_tables, write_tables
     from istc_replay.ingest.log import read_log
-    from istc_replay.ingest.result import is_result, load_result_folder
+    from istc_replay.ingest.result import load_result_folder
 
     if is_result(source):
         return True, write_tables(result_tables(load_result_folder(source)), folder, formats)
     log = read_log(source, config)
     return log.complete, write_tables(log_tables(log), folder, formats)
+
+
+def is_result(source: Path) -> bool:
+    """Tell whether a path names a result (its folder or result.mcap), not a log."""
+    from istc_replay.ingest.result import is_result as names_result
+
+    return names_result(source)
+
+
+def audit_read(
+    source: Path,
+    config: Config,
+    folder: Path | None,
+    formats: Sequence[Literal["parquet", "json", "md", "junit"]],
+    fail_on: Literal["minor", "serious", "critical"],
+) -> tuple[str, int, list[Path]]:
+    """Audit a log: what it found as Markdown, the exit code, and the files if a folder is given."""
+    from istc_replay.audit.log_audit import audit_log
+    from istc_replay.export.audit_files import audit_exit_code, audit_markdown, write_audit
+    from istc_replay.ingest.log import read_log
+
+    log = read_log(source, config)
+    found = audit_log(log, config)
+    files = [] if folder is None else write_audit(found, log, folder, formats, fail_on)
+    return audit_markdown(found, log), audit_exit_code(found, log, fail_on), files
+
+
+def certify_again(source: Path) -> tuple[tuple[Certificate, ...], int]:
+    """Certify a result's plans from its file; exit code 1 where a check fails, 3 where one is in doubt."""
+    from istc_replay.audit.certificate import certify, overall
+    from istc_replay.config import parse_config
+    from istc_replay.ingest.result import load_result_folder
+
+    result = load_result_folder(source)
+    certificates = certify(result, parse_config(result.config_toml))
+    if not certificates:
+        return (), 3
+    return certificates, {Verdict.FAIL: 1, Verdict.INCONCLUSIVE: 3}.get(overall(certificates), 0)
 
 
 def write_sample(scene: str, out: Path, config: Config | None = None) -> None:

@@ -421,3 +421,29 @@ def test_a_vehicle_without_heading_is_named_and_the_rest_planned(tmp_path: Path)
     assert done.returncode == 0, done.stderr
     assert "2 of 2 plannable vehicles certified (3 present)" in done.stdout
     assert "left out: 2: no state has heading_rad" in done.stdout
+
+
+def test_audit_of_a_log_finds_the_collision_and_writes_it(tmp_path: Path) -> None:
+    done = call("audit", TURN_FIRST, "-o", tmp_path, "--format", "parquet,json,md,junit")
+    assert done.returncode == 1, done.stderr
+    assert "critical" in done.stdout
+    assert {"findings.parquet", "audit.json", "audit.md", "audit.junit.xml"} <= {
+        f.name for f in tmp_path.iterdir()
+    }
+    findings = pl.read_parquet(tmp_path / "findings.parquet")
+    assert "critical" in findings["severity"].to_list()
+
+
+def test_audit_of_a_log_with_nothing_wrong_finds_nothing(tmp_path: Path) -> None:
+    log = altered(tmp_path, lambda states: states.filter(pl.col("vehicle_id") == "1"))
+    done = call("audit", log)
+    assert done.returncode == 0, done.stdout
+
+
+def test_audit_of_a_result_certifies_it_anew(
+    replayed: tuple[subprocess.CompletedProcess[str], Path], tmp_path: Path
+) -> None:
+    done = call("audit", replayed[1] / TURN_FIRST.stem)
+    assert done.returncode == 0, done.stderr
+    assert "cubes_disjoint" in done.stdout
+    expect_failure(call("audit", replayed[1] / TURN_FIRST.stem, "-o", tmp_path), 2, "takes no -o")
