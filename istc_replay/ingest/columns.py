@@ -58,9 +58,14 @@ class Gatherer:
 
     def __init__(self, time_source: str, limit: int, problems: Problems, names: Names) -> None:
         self._time_source = time_source
-        self._left, self._limit = limit, limit
+        self._left, self._limit, self._full = limit, limit, False
         self._problems, self._names = problems, names
         self._pairs: dict[tuple[int, int], int] = {}
+
+    @property
+    def full(self) -> bool:
+        """No more states are taken; that was told."""
+        return self._full
 
     def block(
         self, states: States, payloads: Payloads, own: dict[int, int], format_: Format, rank: int
@@ -92,6 +97,7 @@ class Gatherer:
             detail = f"more than {self._limit} states in a file of this size; the rest is left out"
             self._problems.lose("too_many_states", detail, int(offsets[keep[self._left]]))
             keep = keep[: self._left]
+            self._full = True
         self._left -= len(keep)
         whole = {
             "ordinal": payloads.ordinals[rows],

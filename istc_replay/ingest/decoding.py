@@ -21,8 +21,8 @@ from istc_replay.ingest.walk import LogFile
 
 #: Bytes of messages that are decoded at once: enough that no step is dear, few enough for the caches.
 _BYTES = 2 * 2**20
-#: More states than this, plus one for every four bytes of the file, are a trap and not a log.
-_STATES_FLOOR = 1_000_000
+#: More states than this, plus one for every two bytes of the file, are a trap and not a log.
+_STATES_FLOOR = 200_000
 #: Schemas that are built for one log.
 _SCHEMAS_LIMIT = 256
 #: How well formats tell of vehicles, best first; what is told worse is used where nothing else is.
@@ -67,7 +67,7 @@ class Decoding:
         self._config = config
         self._problems = problems
         self._readers = Readers(problems, self.names, self.parts)
-        limit = _STATES_FLOOR + file_size // 4
+        limit = _STATES_FLOOR + file_size // 2
         self._gatherer = Gatherer(config.ingest.time_source, limit, problems, self.names)
         self._groups: list[_Group] = []
         self._group_of: dict[Channel, int] = {}
@@ -162,7 +162,7 @@ class Decoding:
                 self._tell_refused(group, payloads, rows)
             elif group.scene is not None:
                 self._read_scenes(group.scene, data, starts, ends, rows, payloads)
-            elif group.reader is not None:
+            elif group.reader is not None and not self._gatherer.full:
                 block = self._block(group, group.reader, data, starts[rows], ends[rows], payloads, rows)
                 blocks.append(block)
         return [block for block in blocks if len(block.whole["ordinal"])]

@@ -12,7 +12,7 @@ from google.protobuf.message import DecodeError, EncodeError
 from istc_replay.ingest.batches import Bytes, Ints
 from istc_replay.ingest.layout import NULL, ZERO, Column, Decoded, Decoder, Layout, Leaf, joined_parts, take
 from istc_replay.ingest.payload import PayloadError
-from istc_replay.ingest.scan import Spans, next_field, scan
+from istc_replay.ingest.scan import FIELDS_LIMIT, Spans, next_field, scan
 from istc_replay.ingest.wanted import Mapping, Node, check_found, missing, tree
 
 #: Fields of one message that are parsed.
@@ -187,7 +187,10 @@ class ProtobufDecoder:
             found, broken = scan(data, spans, {number, *wanted, *([watched[0]] if watched else [])})
             if watched:
                 watched[1](data, found[watched[0]])
-            bad |= {row: PayloadError("a field of it is damaged") for row in broken.tolist()}
+            for row in broken.tolist():
+                # So long a one may have too many fields for the reference library as well.
+                kind = _TooManyError if ends[row] - starts[row] > 2 * FIELDS_LIMIT else PayloadError
+                bad[row] = kind("a field of it is damaged, or there are too many")
             for other, decoder in wanted.items():
                 header |= _header(data, found[other], decoder, len(starts), bad)
             spans = found[number]

@@ -10,7 +10,7 @@ from istc_replay.ingest.payload import PayloadError
 from istc_replay.ingest.wanted import Mapping, Node, check_found, missing, tree
 
 #: Parts of one payload, and levels of types in types, that are parsed.
-_PARTS = 100_000
+_PARTS = 50_000
 _DEPTH = 24
 
 
@@ -26,7 +26,29 @@ def ros_decoder(types: Types, mapping: Mapping, ros1: bool) -> Decoder:
     kinds: dict[str, str] = {}
     _Resolver(types, mapping, kinds).resolve("", root, "", _DEPTH)
     check_found(mapping, kinds)
-    return Decoder(lambda payload: _Payload(types, payload, ros1).layout(root, bool(mapping.items)), kinds)
+    flat = _flat_types(types)
+    many = bool(mapping.items)
+    return Decoder(lambda payload: _Payload(types, flat, payload, ros1).layout(root, many), kinds)
+
+
+def _flat_types(types: Types) -> dict[str, int]:
+    """Return the types whose values all have one length, but for padding, by their alignment."""
+    alignments: dict[str, int] = {}  # 0: not flat, or in a circle
+
+    def alignment(name: str, depth: int) -> int:
+        if name in alignments or depth == 0:
+            return alignments.get(name, 0)
+        alignments[name] = 0
+        parts = [1]
+        for member in types.get(name, (Member("", "", -1),)):
+            plain = PLAIN.get(member.type)
+            parts.append(
+                0 if member.length == -1 else int(plain[1]) if plain else alignment(member.type, depth - 1)
+            )
+        alignments[name] = max(parts) if all(parts) else 0
+        return alignments[name]
+
+    return {name: found for name in types if (found := alignment(name, _DEPTH))}
 
 
 class _Resolver:
@@ -77,8 +99,8 @@ def _kind(member: Member) -> str:
 class _Payload:
     """One payload being parsed."""
 
-    def __init__(self, types: Types, data: bytes, ros1: bool) -> None:
-        self._types, self._data, self._ros1 = types, data, ros1
+    def __init__(self, types: Types, flat: dict[str, int], data: bytes, ros1: bool) -> None:
+        self._types, self._flat, self._data, self._ros1 = types, flat, data, ros1
         self._layout = Layout(len(data))
         self._order, self._position, self._base = "<", 0, 0
         self._left = _PARTS
@@ -123,15 +145,21 @@ class _Payload:
             return
         if count > len(self._data):
             raise PayloadError(f"a sequence of {count} parts in {len(self._data)} bytes")
-        self._step(count)
         single = Member(member.name, member.type, None)
+        alike = member.type in self._flat and (node is None or not (node.children or node.items))
         for index in range(count):
+            self._step(1)
+            before = self._position
             if node is not None and node.items:
                 item: dict[str, Leaf] = {}
                 self._one(single, node, item, depth)
                 self._layout.items.append(item)
             else:
                 self._one(single, node.children.get(str(index)) if node else None, leaves, depth)
+            if alike and (self._ros1 or (self._position - before) % self._flat[member.type] == 0):
+                # Aligned as this one is, all that follow are as long.
+                self._skip((count - index - 1) * (self._position - before), 1)
+                return
 
     def _one(self, member: Member, node: Node | None, leaves: dict[str, Leaf], depth: int) -> None:
         code = PLAIN.get(member.type)

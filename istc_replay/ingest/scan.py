@@ -12,6 +12,8 @@ from istc_replay.ingest.batches import Bytes, Ints
 #: Fewer messages than this are scanned one by one: steps over few cost as much as over many.
 _FEW = 8
 _VARINT_LIMIT = 10
+#: Fields of a message that is scanned alone; one that has more is damaged.
+FIELDS_LIMIT = 200_000
 
 
 class Spans(NamedTuple):
@@ -133,10 +135,11 @@ def next_field(data: bytes, position: int, end: int) -> tuple[int, int, int, int
 
 def _one(data: bytes, end: int, wanted: set[int]) -> tuple[dict[int, list[tuple[int, int, int]]], bool]:
     found: dict[int, list[tuple[int, int, int]]] = {number: [] for number in wanted}
-    position = 0
+    position = count = 0
     while position < end:
         number, _, start, after = next_field(data, position, end)
-        if after < 0:
+        count += 1
+        if after < 0 or count > FIELDS_LIMIT:
             return found, False
         if number in found:
             found[number].append((position, start, after))

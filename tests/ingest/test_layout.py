@@ -155,13 +155,14 @@ def test_parts_that_stand_twice_are_merged_as_protobuf_says() -> None:
     assert (plain(decoded, "x"), plain(decoded, "head_i")) == ([1.0, 3.0, 1.0], [7, 7, 7])
 
 
-def test_a_million_fields_in_one_message_among_many_take_no_time_each() -> None:
-    payloads = [b"\x08\x01"] * 20 + [b"\x08\x01" * 1_000_000]
+@pytest.mark.parametrize(("count", "whole"), [(100_000, True), (1_000_000, False)])
+def test_many_fields_in_one_message_among_many_are_scanned_alone(count: int, whole: bool) -> None:
+    payloads = [b"\x08\x01"] * 20 + [b"\x08\x01" * count]
     data = np.frombuffer(b"".join(payloads) + bytes(16), np.uint8)
     ends = np.cumsum([len(payload) for payload in payloads]).astype(np.int64)
     starts = np.concatenate([[0], ends[:-1]])
     found, broken = scan(data, Spans(np.arange(21), starts, starts, ends), {1})
-    assert (len(found[1].rows), len(broken)) == (1_000_020, 0)
+    assert (len(found[1].rows) == count + 20, len(broken)) == (whole, not whole)
 
 
 # --- CDR -----------------------------------------------------------------------------------------
@@ -229,6 +230,9 @@ def test_a_definition_of_nothing_cannot_make_a_payload_endless() -> None:
     assert [error.code for _, error in decode(decoder, [payload]).bad] == ["payload"]
     circle = parse_definition(b"A a\nfloat64 x\n===\nMSG: p/A\nA a\n", True)
     assert decode(ros_decoder(circle, Mapping({"x": "x"}), True), [bytes(50)]).bad
+    wide = "".join(f"===\nMSG: p/T{k}\n" + f"T{k + 1} a\nT{k + 1} b\n" for k in range(60))
+    types = parse_definition(f"float64 x\nT0 t\n{wide}===\nMSG: p/T60\nuint8 q\n".encode(), True)
+    assert decode(ros_decoder(types, Mapping({"x": "x"}), True), [bytes(50)]).bad
 
 
 # --- JSON ----------------------------------------------------------------------------------------
