@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import astuple, dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -12,6 +13,9 @@ from istc_replay.datatypes import Dimensions, FloatArray, MapBounds, SceneObstac
 from istc_replay.geometry import shift_along
 
 _ROUNDING_M = 1e-9
+_FEW = 8  # obstacles that are looked at one by one
+_PAIRS = 2_000_000  # of poses and obstacles, at once in memory
+_RASTER_MAX = 500
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,14 +130,56 @@ class Clearance:
         flat = poses.reshape(-1, 3)
         free = self.rooms(flat) >= -_ROUNDING_M
         if len(self.obstacles):
-            centres = self._centres(flat)
-            offsets = centres[:, None, :] - self.obstacles[None, :, :2]  # (P, O, 2)
-            reach = self._reach_m
-            near = (offsets**2).sum(axis=2) < reach**2
-            cars, boxes = np.nonzero(near & free[:, None])
-            hit = self._pair_gaps(centres, flat[:, 2], cars, boxes) < self.margins_m[boxes] - _ROUNDING_M
-            free[cars[hit]] = False
+            todo = np.flatnonzero(free)
+            centres = self._centres(flat[todo])
+            if len(self.obstacles) > _FEW:
+                crowded = self._is_crowded(centres)
+                todo, centres = todo[crowded], centres[crowded]
+            for part in range(0, len(todo), max(1, _PAIRS // len(self.obstacles))):
+                some = slice(part, part + max(1, _PAIRS // len(self.obstacles)))
+                free[todo[some]] = self._all_clear(centres[some], flat[todo[some], 2])
         return free.reshape(poses.shape[:-1])
+
+    def near(self, poses: FloatArray, within_m: float) -> Clearance:
+        """Leave out obstacles that are farther than this beyond reach at poses (P, 3), metres apart."""
+        close = np.zeros(len(self.obstacles), dtype=bool)
+        reach = self._reach_m + within_m
+        for centre in self._centres(poses):
+            close |= np.abs(self.obstacles[:, :2] - centre).max(axis=1) < reach
+        return replace(
+            self,
+            obstacles=self.obstacles[close],
+            margins_m=self.margins_m[close],
+            slacks_rad=self.slacks_rad[close],
+        )
+
+    def _all_clear(self, centres: FloatArray, headings: FloatArray) -> np.ndarray:
+        """Whether nothing is too near to boxes at centres (P, 2)."""
+        dx, dy = (centres[:, None, axis] - self.obstacles[None, :, axis] for axis in (0, 1))  # (P, O)
+        cars, boxes = np.nonzero(dx * dx + dy * dy < self._reach_m**2)
+        hit = self._pair_gaps(centres, headings, cars, boxes) < self.margins_m[boxes] - _ROUNDING_M
+        clear = np.ones(len(centres), dtype=bool)
+        clear[cars[hit]] = False
+        return clear
+
+    def _is_crowded(self, centres: FloatArray) -> np.ndarray:
+        """Whether the cell of a coarse raster that each centre (P, 2) is in has an obstacle in reach."""
+        low, cell, raster = self._raster
+        column, row = np.clip(((centres - low) / cell).astype(np.int64), 0, np.array(raster.shape) - 1).T
+        return np.asarray(raster[column, row])
+
+    @cached_property
+    def _raster(self) -> tuple[FloatArray, float, np.ndarray]:
+        bounds = self.bounds
+        low = np.array([bounds.x_min_m, bounds.y_min_m])
+        sides = np.array([bounds.x_max_m, bounds.y_max_m]) - low
+        cell = max(1.0, float(sides.max()) / _RASTER_MAX)
+        raster = np.zeros(np.ceil(sides / cell).astype(int) + 1, dtype=bool)
+        for (x, y), reach in zip(self.obstacles[:, :2], self._reach_m, strict=True):
+            first = np.maximum(np.floor((np.array([x, y]) - reach - low) / cell), 0).astype(int)
+            last = np.maximum(np.floor((np.array([x, y]) + reach - low) / cell), -1).astype(int) + 1
+            raster[first[0] : last[0], first[1] : last[1]] = True
+        return low, cell, raster
 
     @property
     def _reach_m(self) -> FloatArray:

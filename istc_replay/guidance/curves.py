@@ -202,6 +202,7 @@ def smooth_to_goal(
         return curve, error
 
     lengths = np.array(lengths_m, dtype=np.float64)
+    longest = 2.0 * np.abs(lengths).sum() + 10.0 * ramp_m
     curve, error = tried(lengths)
     step = 1e-6
     slopes = np.column_stack(
@@ -214,7 +215,7 @@ def smooth_to_goal(
         if wanted[straight].min(initial=0.0) < -1e-9:
             return None
         moved = np.where(straight, np.maximum(wanted, 0.0), wanted) - lengths
-        if not moved.any():
+        if not moved.any() or np.abs(lengths + moved).sum() > longest:
             return None
         curve, after = tried(lengths + moved)
         slopes += np.outer(after - error - slopes @ moved, moved) / (moved @ moved)

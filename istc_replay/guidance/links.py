@@ -13,6 +13,7 @@ from istc_replay.guidance.dubins import WORD_CURVATURES, word_lengths
 from istc_replay.guidance.traffic import Traffic
 
 _CHECK_STEP_M = 0.5
+_FIRST_LOOK = np.array([0.1, 0.3, 0.5, 0.7, 0.9, 0.97])
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +63,7 @@ class Space:
             How many words of a pair are looked at, from the shortest on.
         """
         words = word_lengths(starts, goals, self.radius_m)  # (N, 6, 3)
-        totals = words.sum(axis=2)
+        totals, bends = words.sum(axis=2), WORD_CURVATURES / self.radius_m
         order = np.argsort(totals, axis=1, kind="stable")
         count = len(starts)
         costs, chosen = np.full(count, np.inf), order[:, 0].copy()
@@ -70,12 +71,17 @@ class Space:
             word = order[:, rank]
             length = totals[np.arange(count), word]
             left = np.flatnonzero(np.isinf(costs) & (length < limits_m))
+            if left.size:
+                # Most that are not free show it at a few poses already.
+                few = length[left, None] * _FIRST_LOOK
+                glanced = arc_poses(starts[left], words[left, word[left]], bends[word[left]], few)
+                left = left[self.clearance.free(glanced).all(axis=1)]
             if not left.size:
-                break
+                continue
             arcs = words[left, word[left]]
             samples = np.arange(int(length[left].max() / _CHECK_STEP_M) + 2) * _CHECK_STEP_M
             s = np.minimum(samples[None, :], length[left, None])
-            poses = arc_poses(starts[left], arcs, WORD_CURVATURES[word[left]] / self.radius_m, s)
+            poses = arc_poses(starts[left], arcs, bends[word[left]], s)
             free = self.clearance.free(poses).all(axis=1)
             # Samples repeated at the end of a shorter path count for nothing.
             on_path = samples[None, :] < length[left, None]
@@ -83,7 +89,7 @@ class Space:
             costs[left[free]] = (length[left] + extra)[free]
             chosen[left[free]] = word[left[free]]
         lengths = np.where(np.isinf(words[np.arange(count), chosen]), 0.0, words[np.arange(count), chosen])
-        return Links(costs, lengths, WORD_CURVATURES[chosen] / self.radius_m)
+        return Links(costs, lengths, bends[chosen])
 
     def _extra(
         self,

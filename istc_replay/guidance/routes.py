@@ -13,7 +13,7 @@ from istc_replay.datatypes import Dimensions, FloatArray, MapBounds, SceneObstac
 from istc_replay.errors import ScenarioError
 from istc_replay.geometry import shift_along
 from istc_replay.guidance.clearance import Clearance
-from istc_replay.guidance.curves import Curve, Pose, smooth_to_goal
+from istc_replay.guidance.curves import Curve, Pose, arc_poses, smooth_to_goal
 from istc_replay.guidance.dubins import word_lengths
 from istc_replay.guidance.grid import DistanceGrid, distances_to
 from istc_replay.guidance.hybrid_astar import is_dead_end, search
@@ -38,6 +38,9 @@ _WIDER_M = 0.1
 _DETOURS = 2
 _CHECK_STEP_M = 0.15
 _TOLERANCE_M = 0.01
+_COARSE_STEP_M = 3.0
+_EVERY = 20  # poses of the check, 3 m
+_ASIDE_M = 8.0  # obstacles farther aside of a path are left out
 _STEERING_MAX_RAD = 0.6
 
 
@@ -203,7 +206,7 @@ def _path_at(
         if curve is None:
             return None, False
         poses = curve.spaced_poses(_CHECK_STEP_M)
-        lacks = space.clearance.lacks(poses)
+        lacks = space.clearance.near(poses[::_EVERY], _ASIDE_M).lacks(poses)
         if lacks.max() <= _TOLERANCE_M:
             return curve, False
         # The sharp path is free but cannot be steered here: the next one must pass elsewhere.
@@ -221,10 +224,14 @@ def _smoothed(poses: FloatArray, ends: FloatArray, space: Space, limits: Limits)
     if len(chain) == 2:
         curve = smooth_to_goal(start, goal, lengths, bends, limits.curvature_1pm / limits.sharpness_1pm2)
         if curve is not None and _is_steerable(curve, limits):
-            lacks = space.clearance.lacks(curve.spaced_poses(_CHECK_STEP_M))
-            if lacks.max() <= _TOLERANCE_M:
+            poses = curve.spaced_poses(_CHECK_STEP_M)
+            if space.clearance.near(poses[::_EVERY], _ASIDE_M).lacks(poses).max() <= _TOLERANCE_M:
                 return curve
-    curve = pull_taut(start, goal, lengths, bends, limits)
+    sharp = arc_poses(
+        ends[:1], lengths[None], bends[None], np.arange(0.0, lengths.sum(), _COARSE_STEP_M)[None]
+    )[0]
+    nearby = replace(limits, clearance=space.clearance.near(sharp, _ASIDE_M))
+    curve = pull_taut(start, goal, lengths, bends, nearby)
     return curve if curve is not None and _is_steerable(curve, limits) else None
 
 

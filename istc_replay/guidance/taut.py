@@ -14,6 +14,7 @@ from istc_replay.guidance.clearance import Clearance
 from istc_replay.guidance.curves import Curve, Pose
 
 _PIECE_M = 1.0  # between the break points of the curvature
+_PIECES_MAX = 200
 _SAMPLES = 3  # poses checked a piece
 _NEAR_M = 1.0  # gaps larger than the margin by this cannot bind in one step
 _RESERVE_M = 0.015  # kept beyond the margins, for what lies between samples
@@ -75,7 +76,7 @@ def pull_taut(
         The path; None where the goal is not reached. It may still come too near to something.
     """
     length = float(lengths_m.sum())
-    pieces = max(8, math.ceil(length / _PIECE_M))
+    pieces = max(8, min(_PIECES_MAX, math.ceil(length / _PIECE_M)))
     # Each break point gets the mean curvature half a piece about it, so that the turns are kept.
     ends = np.concatenate([[0.0], np.cumsum(lengths_m)])
     turned = np.concatenate([[0.0], np.cumsum(lengths_m * bends_1pm)])
@@ -190,6 +191,7 @@ def _step(values: FloatArray, now: _Driven, miss: FloatArray, limits: Limits, tr
     upper = np.concatenate([allowed - jumps, allowed + jumps, -miss, miss, now.gaps])
     change = np.append(np.full(count - 1, _CHANGE_1PM * trust), _CHANGE_M * trust)
     high = np.minimum(change[:-1], np.maximum(limits.curvature_1pm - kappa, -change[:-1]))
+    shorter = min(change[-1], 0.3 * length)
     low = np.maximum(-change[:-1], np.minimum(-limits.curvature_1pm - kappa, change[:-1]))
     high[[0, -1]] = low[[0, -1]] = 0.0
     hessian = np.diag(np.full(count + 2, 1e-3))
@@ -200,7 +202,7 @@ def _step(values: FloatArray, now: _Driven, miss: FloatArray, limits: Limits, tr
         cost,
         np.ascontiguousarray(matrix),
         np.concatenate([high, [change[-1], 1e3, 1e3], upper]),
-        np.concatenate([low, [-change[-1], 0.0, 0.0], np.full(len(upper), -1e30)]),
+        np.concatenate([low, [-shorter, 0.0, 0.0], np.full(len(upper), -1e30)]),
     )
     return np.asarray(solution[:count]) if flag > 0 else np.zeros(count)
 
