@@ -96,7 +96,10 @@ def test_a_slow_log_is_a_scene_and_a_fast_one_traffic() -> None:
     slow, fast = log_of(driver("1", speed_mps=5.0)), log_of(driver("1"))
     assert [next(iter(build_scenarios(log, Config()))).traffic for log in (slow, fast)] == [False, True]
     told = replace(fast, scene=replace(fast.scene, bounds=None, vehicles=BUSY.scene.vehicles))
-    assert next(iter(build_scenarios(told, Config(window={"rules": "scene"})))).window.unit_s == 1.0
+    assert (
+        next(iter(build_scenarios(told, Config.model_validate({"window": {"rules": "scene"}})))).window.unit_s
+        == 1.0
+    )
 
 
 def test_the_time_unit_is_long_only_where_the_recording_has_no_conflict_at_it() -> None:
@@ -104,14 +107,22 @@ def test_the_time_unit_is_long_only_where_the_recording_has_no_conflict_at_it() 
     close = log_of(driver("1"), driver("2", 0.0, 9.0))
     assert next(iter(build_scenarios(calm, Config()))).window.unit_s == 1.0
     assert next(iter(build_scenarios(close, Config()))).window.unit_s == 0.5
-    assert next(iter(build_scenarios(close, Config(window={"unit_s": 0.25})))).window.unit_s == 0.25
+    assert (
+        next(iter(build_scenarios(close, Config.model_validate({"window": {"unit_s": 0.25}})))).window.unit_s
+        == 0.25
+    )
 
 
 def test_the_frame_turns_to_the_road() -> None:
     log = turned(BUSY, np.radians(41.0), (0.0, 0.0))
     yaw = next(iter(build_scenarios(log, Config()))).window.frame.yaw_rad
     assert np.degrees(yaw) % 90.0 == pytest.approx(41.0, abs=1.1)
-    assert next(iter(build_scenarios(log, Config(window={"frame": "map"})))).window.frame.yaw_rad == 0.0
+    assert (
+        next(
+            iter(build_scenarios(log, Config.model_validate({"window": {"frame": "map"}})))
+        ).window.frame.yaw_rad
+        == 0.0
+    )
 
 
 def test_cars_side_by_side_at_an_angle_conflict_only_in_the_maps_frame() -> None:
@@ -206,7 +217,7 @@ def test_roles_and_minimal_data_decide_who_is_planned() -> None:
         driver("walker", 20.0, 5.0, 1.0, role=["pedestrian"] * 41),
         rare,
     )
-    config = Config(vehicles={"by_id": {"2": {"cooperative": False}}})
+    config = Config.model_validate({"vehicles": {"by_id": {"2": {"cooperative": False}}}})
     scenario = build_scenario(log, config, window_spans(log, config)[0], 0.5)
     assert [p.vehicle_id for p in scenario.participants] == ["1"]
     assert {e.vehicle_id: e.reason for e in scenario.excluded} == {
