@@ -96,6 +96,7 @@ def log_facts(log: Log) -> dict[str, Any]:
         "chunks": log.chunks,
         "start_ns": log.start_ns,
         "end_ns": log.end_ns,
+        "time_source": log.time_source,
         "channels": [
             {
                 "topic": c.topic,
@@ -104,6 +105,7 @@ def log_facts(log: Log) -> dict[str, Any]:
                 "message_encoding": c.message_encoding,
                 "messages": c.messages,
                 "understood_as": c.understood_as,
+                "reason": c.reason,
             }
             for c in log.channels
         ],
@@ -117,10 +119,10 @@ def info_lines(facts: Mapping[str, Any]) -> Iterator[str]:
     whole = "complete" if facts["complete"] else "INCOMPLETE"
     yield f"{line(facts['path'])}: {whole}, {facts['messages']} messages in {facts['chunks']} chunks"
     if facts["start_ns"] is not None:
-        yield f"span: {(facts['end_ns'] - facts['start_ns']) / 1e9:.3f} s from {facts['start_ns']} ns"
+        yield f"span: {(facts['end_ns'] - facts['start_ns']) / 1e9:.3f} s from {facts['start_ns']} ns; times of states: {facts['time_source']}"
     rows = [["topic", "schema", "encoding", "messages", "read as"]]
     for c in facts["channels"]:
-        kind = c["understood_as"] or "not read"
+        kind = c["understood_as"] or (f"not read: {c['reason']}" if c["reason"] else "not read")
         rows.append([c["topic"], c["schema"], c["message_encoding"], str(c["messages"]), kind])
     yield from table_lines(rows)
     rows = [["vehicle", "states", "from s", "to s", "rate Hz", "length m", "width m"]]

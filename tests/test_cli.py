@@ -153,7 +153,7 @@ def test_info_tells_what_a_log_holds() -> None:
     facts = json.loads(call("info", TURN_FIRST, "--json").stdout)
     assert set(facts) == {
         "path", "complete", "messages", "attachments", "metadata", "chunks", "start_ns", "end_ns",
-        "channels", "vehicles", "problems",
+        "time_source", "channels", "vehicles", "problems",
     }  # fmt: skip
     assert [v["id"] for v in facts["vehicles"]] == ["1", "2", "3"]
     assert {v["states"] for v in facts["vehicles"]} == {101}
