@@ -119,7 +119,8 @@ def info_lines(facts: Mapping[str, Any]) -> Iterator[str]:
     whole = "complete" if facts["complete"] else "INCOMPLETE"
     yield f"{line(facts['path'])}: {whole}, {facts['messages']} messages in {facts['chunks']} chunks"
     if facts["start_ns"] is not None:
-        yield f"span: {(facts['end_ns'] - facts['start_ns']) / 1e9:.3f} s from {facts['start_ns']} ns; times of states: {facts['time_source']}"
+        span_s = (facts["end_ns"] - facts["start_ns"]) / 1e9
+        yield f"span: {span_s:.3f} s from {facts['start_ns']} ns; times of states: {facts['time_source']}"
     rows = [["topic", "schema", "encoding", "messages", "read as"]]
     for c in facts["channels"]:
         kind = c["understood_as"] or (f"not read: {c['reason']}" if c["reason"] else "not read")
