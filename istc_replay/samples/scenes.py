@@ -28,7 +28,7 @@ _DURATION_MAX_S = 900
 _COUNTS = {4: "four", 6: "six", 8: "eight"}
 _BLOCKS = {"": "no lanes", "_obstacles": "two blocks in the way", "_row": "three blocks in a row in the way"}
 #: Dense crossings whose logs lie in sample_logs/; the others are made by name.
-_DENSE_LOGS = ("dense_4", "dense_8", "dense_8_obstacles")
+_DENSE_LOGS = ("dense_4", "dense_8")
 
 
 @dataclass(frozen=True, slots=True)
