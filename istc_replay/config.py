@@ -219,7 +219,7 @@ class TrajectoriesConfig(Section):
     """Layer 2, eq. (13) to (19)."""
 
     integrator: Literal["rk4", "euler"] = "rk4"
-    """rk4, or the paper's explicit Euler (drifts from the true motion: a warning is given)."""
+    """rk4, or the paper's explicit Euler, whose drift from the true motion the solves table tells."""
     step_s: Positive = 0.2
     """Control interval; with euler, 0.1 is the paper's."""
     curvature_weight: NonNegative = 1.0
