@@ -201,6 +201,8 @@ class CorridorsConfig(Section):
     """Largest second difference sideways."""
     lateral_m: Positive = 1.5
     """A plan of traffic that leaves its recorded path sideways by more is not accepted."""
+    frame_rounds: Annotated[int, Field(ge=0)] = 5
+    """How often a hard scene's frames, eq. (9) to (12), are written anew about its plan."""
     gap_tolerance: Positive = 1e-3
     """Certified means (objective - bound) / max(1, |objective|) at most this."""
     tree_node_budget: Count = 800

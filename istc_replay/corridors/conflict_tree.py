@@ -96,6 +96,14 @@ def search(problem: CorridorProblem, node_budget: int) -> TreeOutcome:
     return TreeOutcome(problem.least_cubes(z), nodes, exhausted, None, named_groups)
 
 
+def refine(problem: CorridorProblem, choices: Choices, node_budget: int) -> FloatArray | None:
+    """Improve on given options by neighbourhoods; z with least cubes, None where they hold no more."""
+    vehicles = frozenset(block.vehicle_id for block in problem.blocks)
+    tree = _Tree(problem, vehicles, node_budget, choices)
+    tree.run_below_guess()
+    return None if tree.best is None else problem.least_cubes(tree.best.z)
+
+
 def _inherited(solved: dict[Group, _Tree], group: Group) -> Choices:
     """Options that the parts of a group had chosen: a first guess of its own."""
     latest: dict[str, _Tree] = {
@@ -169,6 +177,12 @@ class _Tree:
             self.earliest_first = True
             self.exhausted = self.plunge((), self.budget, first_only=True)
         if not self.exhausted and self.best is not None:
+            self._improve()
+
+    def run_below_guess(self) -> None:
+        """Search below the guess alone, then its neighbourhoods."""
+        self.plunge(self.guess, round(_TREE_SHARE * self.budget), first_only=True)
+        if self.best is not None:
             self._improve()
 
     @property

@@ -13,10 +13,11 @@ from istc_replay.corridors.formulation import build_problem
 from istc_replay.corridors.miqp import MilpModel, build_milp, chosen_options
 from istc_replay.corridors.paper import PAPER_BIG_M, build_paper_problem
 from istc_replay.corridors.polish import polish
+from istc_replay.corridors.relinearise import frames_about, with_references
 from istc_replay.datatypes import Corridors, FloatArray, SolveRecord, SolveStatus
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from istc_replay.config import CorridorsConfig
     from istc_replay.corridors.problem import CorridorProblem, Disjunction, Limits
@@ -27,6 +28,9 @@ if TYPE_CHECKING:
 _SEEDS_M = (-4.0, -2.0, -1.0, -0.3, 0.3, 1.0, 2.0, 4.0)
 #: CBC may leave this share of the wanted gap open in each round.
 _GAP_SHARE = 0.25
+#: Frames are written anew while that makes the objective better by this share.
+_WORTH = 0.02
+_MUCH = 0.1
 #: A QP's optimum is taken as a bound less this share.
 _QP_ROUNDING = 1e-6
 
@@ -40,6 +44,7 @@ class _Search:
     objective: float = np.inf
     bound: float = -np.inf
     found_by: str = ""
+    exhausted: bool = False  # stage A saw everything there is
     records: list[SolveRecord] = field(default_factory=list)
     culprits: tuple[tuple[str, ...], ...] = ()
 
@@ -97,6 +102,12 @@ def solve_corridors(
         proven = _incumbent(search, config, sized=not _large_traffic(scenario, problem, config))
         if proven is not None:
             return replace(proven, records=tuple(search.records))
+        if search.z is not None and not search.exhausted and not scenario.traffic:
+
+            def rewritten(frames: Sequence[Guidance]) -> CorridorProblem:
+                return build_problem(scenario, frames, config, limits, speed_max_mps)
+
+            _relinearise(search, guidance, rewritten, config)
     wanted = config.mode == "certified" or (search.z is None and not scenario.traffic)
     if problem.disjunctions and wanted and problem.binaries <= config.proof_binaries_max:
         _prove(search, config, PAPER_BIG_M if paper else None)
@@ -138,6 +149,7 @@ def _incumbent(search: _Search, config: CorridorsConfig, *, sized: bool) -> Corr
     problem = search.problem
     began = time.perf_counter()
     tree = conflict_tree.search(problem, config.tree_node_budget)
+    search.exhausted = tree.exhausted
     search.offer(tree.z, "conflict tree")
     status = SolveStatus.FEASIBLE if tree.z is not None else SolveStatus.LIMIT
     infeasible = tree.exhausted and tree.z is None
@@ -198,6 +210,47 @@ def _size_cubes(search: _Search, z: FloatArray, config: CorridorsConfig) -> Floa
         binaries=milp.binaries,
     )
     return sized
+
+
+def _relinearise(
+    search: _Search,
+    guidance: Sequence[Guidance],
+    rewritten: Callable[[Sequence[Guidance]], CorridorProblem],
+    config: CorridorsConfig,
+) -> None:
+    """Write the frames anew about the incumbent and solve again, while that makes it better."""
+    for round_ in range(1, config.frame_rounds + 1):
+        if search.z is None:
+            return
+        began = time.perf_counter()
+        frames = frames_about(search.problem, search.z, guidance)
+        problem = with_references(rewritten(frames), guidance)
+        if problem.impossible or _cramped(problem):
+            return
+        choice = chosen_options(problem, search.z)
+        polished = polish(problem, choice)
+        found = [polished]
+        # Other choices are worth a search only where the frames made a difference.
+        if polished is None or problem.objective(polished) < search.objective - _MUCH * abs(search.objective):
+            refined = conflict_tree.refine(problem, tuple(enumerate(choice)), config.tree_node_budget // 8)
+            if refined is not None:
+                found.append(polish(problem, chosen_options(problem, refined)))
+        best = min((z for z in found if z is not None), key=problem.objective, default=None)
+        better = best is not None and problem.objective(best) < search.objective - _WORTH * abs(
+            search.objective
+        )
+        if better:
+            search.problem = problem
+            search.offer(best, f"frames about the plan, round {round_}")
+        search.record(
+            f"frames about the plan {round_}",
+            "daqp, piqp",
+            SolveStatus.FEASIBLE if best is not None else SolveStatus.INFEASIBLE,
+            began,
+            objective=None if best is None else problem.objective(best),
+        )
+        if not better:
+            return
 
 
 def _prove(search: _Search, config: CorridorsConfig, big_m: float | None) -> None:

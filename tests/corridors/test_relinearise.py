@@ -1,0 +1,71 @@
+"""Frames written anew about a plan."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from istc_replay.bench import recorded_log
+from istc_replay.config import Config
+from istc_replay.coordinate import plan_window
+from istc_replay.corridors.formulation import build_problem, default_limits
+from istc_replay.corridors.relinearise import frames_about, headings_beside, with_references
+from istc_replay.samples.scenes import find_sample
+from istc_replay.scenario import build_scenarios
+from istc_replay.trajectories.plan import TrajectoryPlanner
+
+
+def test_headings_are_those_of_the_path_beside_and_never_go_back() -> None:
+    angle = np.linspace(0.0, np.pi, 181)
+    poses = np.stack([np.sin(angle) * 10.0, (1.0 - np.cos(angle)) * 10.0, angle], axis=-1)
+    late = poses[[0, 20, 60, 59, 120], :2] + 0.3
+    headings = headings_beside(late, poses)
+    np.testing.assert_allclose(headings, angle[[0, 20, 60, 60, 120]], atol=0.06)
+    assert np.all(np.diff(headings) >= 0.0)
+
+
+def test_frames_about_the_guidance_itself_are_the_same_problem(crossing: Callable[..., Any]) -> None:
+    case = crossing(1, vehicles=3, units=5)
+    problem = case.problem()
+    z = np.array(problem.reference)
+    limits = {p.vehicle_id: default_limits(case.config) for p in case.scenario.participants}
+    again = build_problem(case.scenario, frames_about(problem, z, case.guidance), case.config, limits, 10.0)
+    again = with_references(again, case.guidance)
+    np.testing.assert_allclose(again.reference, problem.reference, atol=1e-9)
+    for one, other in zip(problem.rows, again.rows, strict=True):
+        np.testing.assert_allclose(one.weight, other.weight, atol=1e-6)
+        np.testing.assert_allclose([one.lower, one.upper], [other.lower, other.upper], atol=1e-5)
+
+
+def test_eq_3_is_measured_from_the_guidance_whatever_the_frames(crossing: Callable[..., Any]) -> None:
+    case = crossing(2, vehicles=2, units=4)
+    problem = case.problem()
+    moved = problem.reference + np.where(problem.quadratic > 0.0, 0.7, 0.0)
+    frames = frames_about(problem, moved, case.guidance)
+    limits = {p.vehicle_id: default_limits(case.config) for p in case.scenario.participants}
+    again = with_references(build_problem(case.scenario, frames, case.config, limits, 10.0), case.guidance)
+    for one, other in zip(problem.blocks, again.blocks, strict=True):
+        np.testing.assert_array_equal(one.reference_m, other.reference_m)
+    assert again.objective(moved) == pytest.approx(problem.objective(moved))
+
+
+def test_vehicles_that_gave_way_among_obstacles_arrive_when_frames_follow_them() -> None:
+    config = Config.model_validate({"corridors": {"mode": "fast"}})
+    scenario = next(iter(build_scenarios(recorded_log(find_sample("dense_4_obstacles").record()), config)))
+    fixed = config.corridors.model_copy(update={"frame_rounds": 0})
+    plans = [
+        plan_window(scenario, settings, TrajectoryPlanner(settings.trajectories, 1.0))
+        for settings in (config, config.model_copy(update={"corridors": fixed}))
+    ]
+    follow, stay = plans
+    assert follow.corridors is not None
+    assert stay.corridors is not None
+    assert follow.corridors.objective < 0.8 * stay.corridors.objective  # type: ignore[operator]
+    for participant, trajectory in zip(scenario.participants, follow.trajectories, strict=True):
+        x, y, heading = trajectory.states[-1, :3]
+        ahead = trajectory.dimensions.rear_axle_to_centre_m
+        end = (x + ahead * np.cos(heading), y + ahead * np.sin(heading))
+        assert np.hypot(*(participant.recording.poses[-1, :2] - end)) < 1.0
