@@ -28,6 +28,8 @@ _TURN_RADIUS_M = 7.0
 _TURN_RAMP_M = 4.0
 _LINE_STEP_M = 0.25
 #: Where the box centres start, along their lanes, as distance to the middle of the other road.
+#: Chosen so that all pairs collide and the paper's findings show; elsewhere they often do not
+#: (docs/method.md).
 _START_M = {"1": 21.0, "2": 21.0, "3": 20.0}
 
 

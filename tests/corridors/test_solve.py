@@ -109,6 +109,7 @@ def figures(solved: Corridors) -> dict[str, tuple[float, float]]:
 
 
 def test_a_larger_eta_gives_a_larger_corridor_nearer_the_guidance(intersection: Callable[..., Any]) -> None:
+    # True of the sample's geometry, which was chosen for it; docs/method.md says how often elsewhere.
     turn_first, straight_first = (figures(intersection(group).solved()) for group in GROUPS)
     # Table II: vehicles 1 and 2 have the larger eta in group II, vehicle 3 in group I.
     for vehicle, larger, smaller in (
