@@ -6,14 +6,16 @@ The bytes depend on the scene and on the locked versions alone.
 from __future__ import annotations
 
 import io
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import Any
 
 from mcap.writer import Writer
 
 from istc_replay import messages
+from istc_replay.datatypes import StaticScene
 from istc_replay.errors import UsageError
-from istc_replay.export.encode import scene_message
+from istc_replay.export.sample_odometry import write_odometry
+from istc_replay.export.sample_osi import write_osi
 from istc_replay.samples.drive import RecordedScene
 
 Row = dict[str, Any]
@@ -73,7 +75,7 @@ def _write_istc(recorded: RecordedScene, stream: io.BytesIO) -> None:
     }
     for index, (time_ns, rows) in enumerate(_instants(recorded)):
         if index == 0:
-            writer.add_message(scene_channel, time_ns, _encoded(scene_message(recorded.scene)), time_ns)
+            writer.add_message(scene_channel, time_ns, _encoded(_scene(recorded.scene)), time_ns)
         for row in rows:
             writer.add_message(
                 channels[row["vehicle_id"]], time_ns, _encoded(_vehicle_state(row)), time_ns, sequence=index
@@ -88,3 +90,29 @@ def _encoded(message: Any) -> bytes:
 def _vehicle_state(row: Row) -> Any:
     known = {name: row[name] for name in _STATE_FIELDS}
     return messages.message("VehicleState")(**known, dimensions={name: row[name] for name in _SIZE_FIELDS})
+
+
+def _scene(scene: StaticScene) -> Any:
+    message = messages.message("Scene")()
+    for line in scene.lane_lines:
+        points = [{"x_m": x, "y_m": y} for x, y in line.points_m.tolist()]
+        message.lane_lines.add(lane_id=line.lane_id, vehicle_id=line.vehicle_id or "", points=points)
+    for obstacle in scene.obstacles:
+        message.obstacles.add(**_fields(obstacle))
+    if scene.bounds is not None:
+        message.bounds.CopyFrom(messages.message("MapBounds")(**_fields(scene.bounds)))
+    for vehicle in scene.vehicles:
+        size = None if vehicle.dimensions is None else _fields(vehicle.dimensions)
+        message.vehicles.add(vehicle_id=vehicle.vehicle_id, priority=vehicle.priority, dimensions=size)
+    return message
+
+
+def _fields(record: Any) -> Row:
+    return {name: getattr(record, name) for name in record.__slots__}
+
+
+_WRITERS: dict[str, Callable[[RecordedScene, io.BytesIO], None]] = {
+    "istc": _write_istc,
+    "osi": lambda recorded, stream: write_osi(_instants(recorded), recorded.scene.obstacles, stream),
+    "odometry": lambda recorded, stream: write_odometry(_instants(recorded), stream),
+}
