@@ -27,7 +27,7 @@ def read_states(path: str | Path, config: Config | None = None) -> pl.DataFrame:
 
 def replay(path: str | Path, config: Config | None = None) -> Result:
     """Replay a log, in memory, and return its result."""
-    from istc_replay.pipeline import replay_log
+    from istc_replay.pipeline.replay import replay_log
 
     return replay_log(Path(path), config).result
 

@@ -20,7 +20,7 @@ import polars as pl
 from istc_replay.coordinate import plan_window
 from istc_replay.datatypes import Log, WindowStatus
 from istc_replay.errors import ScenarioError
-from istc_replay.pipeline import replay_read
+from istc_replay.pipeline.replay import replay_read
 from istc_replay.samples.scenes import find_sample, packaged_scene, record
 from istc_replay.scenario import build_scenarios
 from istc_replay.trajectories.plan import TrajectoryPlanner

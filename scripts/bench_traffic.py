@@ -10,7 +10,7 @@ from typing import Any
 
 from istc_replay.config import Config, load_config
 from istc_replay.errors import IstcReplayError
-from istc_replay.pipeline import replay_log
+from istc_replay.pipeline.replay import replay_log
 
 HEAD = (
     "| log | windows full | certified / plannable / present | T [s] | log s | CPU s | factor | not planned |"

@@ -13,7 +13,7 @@ from istc_replay.config import Config
 from istc_replay.coordinate import Planners, plan_span, plan_window
 from istc_replay.datatypes import Log, StaticScene, Trajectory, WindowPlan, WindowStatus
 from istc_replay.field import lateral_excursion_m, least_cover, prepare
-from istc_replay.pipeline import Replay, replay_read
+from istc_replay.pipeline.replay import Replay, replay_read
 from istc_replay.road_frame import Body, conflicts, heading_slack, road_yaw
 from istc_replay.scenario import build_scenario, build_scenarios, settled_config, window_spans
 from istc_replay.states import STATES_SCHEMA, conform

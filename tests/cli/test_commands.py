@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import resource
 import signal
 import subprocess
@@ -19,7 +18,9 @@ from istc_replay.cli import cli
 from istc_replay.export.sample_log import sample_bytes
 from istc_replay.samples.scenes import find_sample
 
-ROOT = Path(__file__).resolve().parents[1]
+Command = Callable[..., "subprocess.CompletedProcess[str]"]
+
+ROOT = Path(__file__).resolve().parents[2]
 SAMPLES = sorted((ROOT / "sample_logs").glob("*.mcap"))
 TURN_FIRST = ROOT / "sample_logs" / "intersection_turn_first.mcap"
 
@@ -27,30 +28,16 @@ TURN_FIRST = ROOT / "sample_logs" / "intersection_turn_first.mcap"
 FAST = '[corridors]\nmode = "fast"\n'
 
 
-def call(
-    *arguments: str | Path, cwd: Path | None = None, **options: object
-) -> subprocess.CompletedProcess[str]:
-    """Run the command line in a process of its own."""
-    return subprocess.run(
-        [sys.executable, "-c", "from istc_replay.cli import main; main()", *map(str, arguments)],
-        capture_output=True,
-        text=True,
-        cwd=cwd,
-        timeout=300,
-        check=False,
-        env={**os.environ, "OMP_NUM_THREADS": "1"},
-        **options,  # type: ignore[call-overload]
-    )
-
-
 @pytest.fixture(scope="module")
-def replayed(tmp_path_factory: pytest.TempPathFactory) -> tuple[subprocess.CompletedProcess[str], Path]:
+def replayed(
+    call: Command, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[subprocess.CompletedProcess[str], Path]:
     """Every sample log run in one call, and the folder of the results."""
     output = tmp_path_factory.mktemp("results")
     return call("run", *SAMPLES, "-o", output), output
 
 
-def test_help_names_every_command_with_an_example() -> None:
+def test_help_names_every_command_with_an_example(call: Command) -> None:
     for name, command in cli.commands.items():
         done = call(name, "--help")
         assert done.returncode == 0
@@ -107,7 +94,7 @@ def test_the_plan_is_safe_where_the_recording_collides(
 
 
 def test_a_second_run_writes_the_same_result_byte_for_byte(
-    replayed: tuple[subprocess.CompletedProcess[str], Path], tmp_path: Path
+    call: Command, replayed: tuple[subprocess.CompletedProcess[str], Path], tmp_path: Path
 ) -> None:
     assert call("run", TURN_FIRST, "-o", tmp_path).returncode == 0
     first, second = (folder / TURN_FIRST.stem / "result.mcap" for folder in (replayed[1], tmp_path))
@@ -149,7 +136,7 @@ def test_the_result_reads_with_the_reference_reader(
     } <= topics
 
 
-def test_info_tells_what_a_log_holds() -> None:
+def test_info_tells_what_a_log_holds(call: Command) -> None:
     facts = json.loads(call("info", TURN_FIRST, "--json").stdout)
     assert set(facts) == {
         "path", "complete", "messages", "attachments", "metadata", "chunks", "start_ns", "end_ns",
@@ -163,7 +150,7 @@ def test_info_tells_what_a_log_holds() -> None:
 
 
 def test_export_writes_the_tables_of_a_log_and_of_a_result(
-    replayed: tuple[subprocess.CompletedProcess[str], Path], tmp_path: Path
+    call: Command, replayed: tuple[subprocess.CompletedProcess[str], Path], tmp_path: Path
 ) -> None:
     done = call("export", replayed[1] / TURN_FIRST.stem, "-o", tmp_path / "result", "--format", "parquet,csv")
     assert done.returncode == 0, done.stderr
@@ -176,13 +163,13 @@ def test_export_writes_the_tables_of_a_log_and_of_a_result(
     assert recorded.height == 303
 
 
-def test_sample_writes_a_log_that_replays(tmp_path: Path) -> None:
+def test_sample_writes_a_log_that_replays(call: Command, tmp_path: Path) -> None:
     out = tmp_path / "again.mcap"
     assert call("sample", "intersection_turn_first", out).returncode == 0
     assert out.read_bytes() == TURN_FIRST.read_bytes()
 
 
-def test_the_explained_configuration_is_a_configuration(tmp_path: Path) -> None:
+def test_the_explained_configuration_is_a_configuration(call: Command, tmp_path: Path) -> None:
     file = tmp_path / "my.toml"
     file.write_text(call("config").stdout)
     done = call("config", file)
@@ -194,7 +181,7 @@ def test_the_explained_configuration_is_a_configuration(tmp_path: Path) -> None:
 
 
 def test_view_saves_the_view_of_a_result(
-    replayed: tuple[subprocess.CompletedProcess[str], Path], tmp_path: Path
+    call: Command, replayed: tuple[subprocess.CompletedProcess[str], Path], tmp_path: Path
 ) -> None:
     out = tmp_path / "again.rrd"
     assert call("view", replayed[1] / TURN_FIRST.stem / "result.mcap", "--save", out).returncode == 0
@@ -202,7 +189,7 @@ def test_view_saves_the_view_of_a_result(
 
 
 def test_view_without_a_screen_says_what_to_do(
-    replayed: tuple[subprocess.CompletedProcess[str], Path], monkeypatch: pytest.MonkeyPatch
+    call: Command, replayed: tuple[subprocess.CompletedProcess[str], Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
@@ -223,17 +210,17 @@ def expect_failure(done: subprocess.CompletedProcess[str], code: int, *words: st
         assert word in lines[0]
 
 
-def test_a_missing_log_is_one_line(tmp_path: Path) -> None:
+def test_a_missing_log_is_one_line(call: Command, tmp_path: Path) -> None:
     expect_failure(call("run", tmp_path / "none.mcap", "-o", tmp_path), 3, "none.mcap", "no such file")
 
 
-def test_a_file_that_is_no_mcap_is_one_line(tmp_path: Path) -> None:
+def test_a_file_that_is_no_mcap_is_one_line(call: Command, tmp_path: Path) -> None:
     text = tmp_path / "text.mcap"
     text.write_text("hello\n")
     expect_failure(call("run", text, "-o", tmp_path / "out"), 3, "text.mcap", "not an MCAP")
 
 
-def test_an_unknown_config_key_names_the_known_ones(tmp_path: Path) -> None:
+def test_an_unknown_config_key_names_the_known_ones(call: Command, tmp_path: Path) -> None:
     config = tmp_path / "c.toml"
     config.write_text("[corridors]\narea_wait = 1\n")
     done = call("run", TURN_FIRST, "-c", config, "-o", tmp_path)
@@ -242,31 +229,31 @@ def test_an_unknown_config_key_names_the_known_ones(tmp_path: Path) -> None:
     expect_failure(call("config", config), 2, "corridors.area_weight", "'much'")
 
 
-def test_a_folder_that_cannot_be_written_is_one_line(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_written_is_one_line(call: Command, tmp_path: Path) -> None:
     (tmp_path / "file").write_text("")
     expect_failure(call("run", TURN_FIRST, "-o", tmp_path / "file" / "out"), 2, "cannot be written")
 
 
-def test_two_logs_for_one_folder_are_refused(tmp_path: Path) -> None:
+def test_two_logs_for_one_folder_are_refused(call: Command, tmp_path: Path) -> None:
     copy = tmp_path / TURN_FIRST.name
     copy.write_bytes(TURN_FIRST.read_bytes())
     expect_failure(call("run", TURN_FIRST, copy, "-o", tmp_path), 2, "another log writes to")
 
 
-def test_an_unknown_sample_names_the_known_ones(tmp_path: Path) -> None:
+def test_an_unknown_sample_names_the_known_ones(call: Command, tmp_path: Path) -> None:
     expect_failure(call("sample", "nowhere", tmp_path / "x.mcap"), 2, "nowhere", "intersection_turn_first")
     expect_failure(call("sample", str(tmp_path / "none.json"), tmp_path / "x.mcap"), 3, "none.json")
 
 
-def test_an_unknown_table_format_is_refused(tmp_path: Path) -> None:
+def test_an_unknown_table_format_is_refused(call: Command, tmp_path: Path) -> None:
     expect_failure(call("export", TURN_FIRST, "-o", tmp_path, "--format", "xls"), 2, "xls", "parquet")
 
 
-def test_a_log_is_no_result(tmp_path: Path) -> None:
+def test_a_log_is_no_result(call: Command, tmp_path: Path) -> None:
     expect_failure(call("view", TURN_FIRST, "--save", tmp_path / "v.rrd"), 3, "not a result")
 
 
-def test_a_truncated_log_is_replayed_as_far_as_it_goes(tmp_path: Path) -> None:
+def test_a_truncated_log_is_replayed_as_far_as_it_goes(call: Command, tmp_path: Path) -> None:
     # Unchunked, so that a cut in the middle leaves the first half of every vehicle.
     from mcap.reader import make_reader
     from mcap.writer import Writer
@@ -294,7 +281,7 @@ def test_a_truncated_log_is_replayed_as_far_as_it_goes(tmp_path: Path) -> None:
     assert 4 <= summary["windows"][0]["units"] <= 7
 
 
-def test_a_full_disk_leaves_nothing_half_written(tmp_path: Path) -> None:
+def test_a_full_disk_leaves_nothing_half_written(call: Command, tmp_path: Path) -> None:
     config = tmp_path / "c.toml"
     config.write_text(FAST)
 
@@ -308,7 +295,7 @@ def test_a_full_disk_leaves_nothing_half_written(tmp_path: Path) -> None:
     assert list((tmp_path / "out" / TURN_FIRST.stem).iterdir()) == []
 
 
-def test_nasty_names_are_shown_not_obeyed(tmp_path: Path) -> None:
+def test_nasty_names_are_shown_not_obeyed(call: Command, tmp_path: Path) -> None:
     name = "a\x1b[31m\nb.mcap"
     (tmp_path / name).write_bytes(b"")
     done = call("info", tmp_path / name)
@@ -318,7 +305,7 @@ def test_nasty_names_are_shown_not_obeyed(tmp_path: Path) -> None:
 
 
 def test_figures_draws_every_picture_of_a_result(
-    replayed: tuple[subprocess.CompletedProcess[str], Path], tmp_path: Path
+    call: Command, replayed: tuple[subprocess.CompletedProcess[str], Path], tmp_path: Path
 ) -> None:
     done = call("figures", replayed[1] / TURN_FIRST.stem, "-o", tmp_path, "--format", "svg,png")
     assert done.returncode == 0, done.stderr
@@ -327,7 +314,7 @@ def test_figures_draws_every_picture_of_a_result(
     assert (tmp_path / "window_0_top_down.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_bench_measures_a_scene_beside_its_peers() -> None:
+def test_bench_measures_a_scene_beside_its_peers(call: Command) -> None:
     done = call("bench", "--table", "iii", "--runs", "1", "--fast", "--json")
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)
@@ -344,7 +331,7 @@ def test_bench_measures_a_scene_beside_its_peers() -> None:
     assert "intersection_turn_first" in call("bench", "--table", "iii", "--runs", "1", "--fast").stdout
 
 
-def test_bench_replays_perturbed_copies_of_a_scene() -> None:
+def test_bench_replays_perturbed_copies_of_a_scene(call: Command) -> None:
     done = call("bench", "--scene", "dense_4", "--perturb", "2", "--json")
     found = json.loads(done.stdout)["perturbed"][0]
     assert found["perturbed"] == 2
@@ -361,12 +348,12 @@ def altered(tmp_path: Path, change: Callable[[pl.DataFrame], pl.DataFrame]) -> P
     return path
 
 
-def run_fast(log: Path) -> subprocess.CompletedProcess[str]:
+def run_fast(call: Command, log: Path) -> subprocess.CompletedProcess[str]:
     """Run a log in fast mode, results beside it."""
     return call("run", log, "-c", log.parent / "fast.toml", "-o", log.parent / "out")
 
 
-def test_a_log_without_vehicles_names_its_schemas(tmp_path: Path) -> None:
+def test_a_log_without_vehicles_names_its_schemas(call: Command, tmp_path: Path) -> None:
     from mcap.writer import Writer
 
     log = tmp_path / "other.mcap"
@@ -380,50 +367,50 @@ def test_a_log_without_vehicles_names_its_schemas(tmp_path: Path) -> None:
     expect_failure(call("run", log, "-o", tmp_path / "out"), 3, "no vehicle states", "sensor_msgs/msg/Imu")
 
 
-def test_one_vehicle_is_planned_alone(tmp_path: Path) -> None:
-    done = run_fast(altered(tmp_path, lambda states: states.filter(pl.col("vehicle_id") == "1")))
+def test_one_vehicle_is_planned_alone(call: Command, tmp_path: Path) -> None:
+    done = run_fast(call, altered(tmp_path, lambda states: states.filter(pl.col("vehicle_id") == "1")))
     assert done.returncode == 0, done.stderr
     assert "1 of 1 plannable vehicles certified" in done.stdout
 
 
-def test_vehicles_that_overlap_at_the_start_are_named_with_exit_code_4(tmp_path: Path) -> None:
+def test_vehicles_that_overlap_at_the_start_are_named_with_exit_code_4(call: Command, tmp_path: Path) -> None:
     def beside(states: pl.DataFrame) -> pl.DataFrame:
         twin = states.filter(pl.col("vehicle_id") == "1").with_columns(
             vehicle_id=pl.lit("4"), y_m=pl.col("y_m") + 1.0
         )
         return pl.concat([states, twin])
 
-    done = run_fast(altered(tmp_path, beside))
+    done = run_fast(call, altered(tmp_path, beside))
     assert done.returncode == 4
     assert "1 and 4 cannot be separated in time unit 0" in done.stdout
     assert (tmp_path / "out" / "altered" / "report.html").is_file()
 
 
-def test_states_that_are_not_numbers_are_told_and_left_out(tmp_path: Path) -> None:
+def test_states_that_are_not_numbers_are_told_and_left_out(call: Command, tmp_path: Path) -> None:
     def holed(states: pl.DataFrame) -> pl.DataFrame:
         ill = (pl.col("vehicle_id") == "2") & (pl.int_range(pl.len()).over("vehicle_id") % 7 == 3)
         return states.with_columns(x_m=pl.when(ill).then(float("nan")).otherwise(pl.col("x_m")))
 
-    done = run_fast(altered(tmp_path, holed))
+    done = run_fast(call, altered(tmp_path, holed))
     assert done.returncode == 0, done.stderr
     assert "3 of 3 plannable vehicles certified" in done.stdout
     assert "not_finite" in done.stdout
 
 
-def test_a_vehicle_without_heading_is_named_and_the_rest_planned(tmp_path: Path) -> None:
+def test_a_vehicle_without_heading_is_named_and_the_rest_planned(call: Command, tmp_path: Path) -> None:
     def blind(states: pl.DataFrame) -> pl.DataFrame:
         # Far apart in time, its positions tell no heading either.
         unknown = pl.col("vehicle_id") == "2"
         sparse = states.filter(~unknown | (pl.int_range(pl.len()).over("vehicle_id") % 15 == 0))
         return sparse.with_columns(heading_rad=pl.when(unknown).then(None).otherwise(pl.col("heading_rad")))
 
-    done = run_fast(altered(tmp_path, blind))
+    done = run_fast(call, altered(tmp_path, blind))
     assert done.returncode == 0, done.stderr
     assert "2 of 2 plannable vehicles certified (3 present)" in done.stdout
     assert "left out: 2: no state has heading_rad" in done.stdout
 
 
-def test_audit_of_a_log_finds_the_collision_and_writes_it(tmp_path: Path) -> None:
+def test_audit_of_a_log_finds_the_collision_and_writes_it(call: Command, tmp_path: Path) -> None:
     done = call("audit", TURN_FIRST, "-o", tmp_path, "--format", "parquet,json,md,junit")
     assert done.returncode == 1, done.stderr
     assert "critical" in done.stdout
@@ -434,14 +421,14 @@ def test_audit_of_a_log_finds_the_collision_and_writes_it(tmp_path: Path) -> Non
     assert "critical" in findings["severity"].to_list()
 
 
-def test_audit_of_a_log_with_nothing_wrong_finds_nothing(tmp_path: Path) -> None:
+def test_audit_of_a_log_with_nothing_wrong_finds_nothing(call: Command, tmp_path: Path) -> None:
     log = altered(tmp_path, lambda states: states.filter(pl.col("vehicle_id") == "1"))
     done = call("audit", log)
     assert done.returncode == 0, done.stdout
 
 
 def test_audit_of_a_result_certifies_it_anew(
-    replayed: tuple[subprocess.CompletedProcess[str], Path], tmp_path: Path
+    call: Command, replayed: tuple[subprocess.CompletedProcess[str], Path], tmp_path: Path
 ) -> None:
     done = call("audit", replayed[1] / TURN_FIRST.stem)
     assert done.returncode == 0, done.stderr

@@ -14,11 +14,11 @@ from istc_replay.config import Config
 from istc_replay.coordinate import plan_window
 from istc_replay.datatypes import Log, MapBounds, StaticScene, WindowPlan, WindowStatus, read_only
 from istc_replay.ingest.log import read_log
-from istc_replay.pipeline import replay_log
+from istc_replay.pipeline.replay import replay_log
 from istc_replay.scenario import build_scenarios
 from istc_replay.trajectories.plan import TrajectoryPlanner
 
-SAMPLE_LOGS = Path(__file__).resolve().parents[1] / "sample_logs"
+SAMPLE_LOGS = Path(__file__).resolve().parents[2] / "sample_logs"
 TURN_FIRST = SAMPLE_LOGS / "intersection_turn_first.mcap"
 FAST = Config.model_validate({"corridors": {"mode": "fast"}})
 

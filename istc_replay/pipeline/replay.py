@@ -1,4 +1,4 @@
-"""Replaying a log end to end: the one place where input and output meet the method."""
+"""Replaying a log end to end."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from dataclasses import dataclass, field, replace
 from functools import cache
 from importlib import metadata
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal
+from typing import TYPE_CHECKING, Any
 
 from istc_replay.config import Config, render_config
 from istc_replay.datatypes import Verdict, WindowStatus
@@ -272,102 +272,6 @@ def result_folders(paths: Sequence[Path], output: Path) -> dict[Path, Path]:
             raise UsageError(f"{path}: another log writes to {folder} too; run them apart, or rename one")
         folders[path] = folder
     return folders
-
-
-def export_tables(
-    source: Path, folder: Path, formats: Sequence[Literal["parquet", "csv"]], config: Config
-) -> tuple[bool, list[Path]]:
-    """Write the tables of a log or a result; returns whether the source was whole, and the files."""
-    from istc_replay.export.tables import log_tables, result_tables, write_tables
-    from istc_replay.ingest.log import read_log
-    from istc_replay.ingest.result import load_result_folder
-
-    if is_result(source):
-        return True, write_tables(result_tables(load_result_folder(source)), folder, formats)
-    log = read_log(source, config)
-    return log.complete, write_tables(log_tables(log), folder, formats)
-
-
-def is_result(source: Path) -> bool:
-    """Tell whether a path names a result (its folder or result.mcap), not a log."""
-    from istc_replay.ingest.result import is_result as names_result
-
-    return names_result(source)
-
-
-def audit_read(
-    source: Path,
-    config: Config,
-    folder: Path | None,
-    formats: Sequence[Literal["parquet", "json", "md", "junit"]],
-    fail_on: Literal["minor", "serious", "critical"],
-) -> tuple[str, int, list[Path]]:
-    """Audit a log: what it found as Markdown, the exit code, and the files if a folder is given."""
-    from istc_replay.audit.log_audit import audit_log
-    from istc_replay.export.audit_files import audit_exit_code, audit_markdown, write_audit
-    from istc_replay.ingest.log import read_log
-
-    log = read_log(source, config)
-    found = audit_log(log, config)
-    files = [] if folder is None else write_audit(found, log, folder, formats, fail_on)
-    return audit_markdown(found, log), audit_exit_code(found, log, fail_on), files
-
-
-def certify_again(source: Path) -> tuple[tuple[Certificate, ...], int]:
-    """Certify a result's plans from its file; exit code 1 where a check fails, 3 where one is in doubt."""
-    from istc_replay.audit.certificate import certify, overall
-    from istc_replay.config import parse_config
-    from istc_replay.ingest.result import load_result_folder
-
-    result = load_result_folder(source)
-    certificates = certify(result, parse_config(result.config_toml))
-    if not certificates:
-        return (), 3
-    return certificates, {Verdict.FAIL: 1, Verdict.INCONCLUSIVE: 3}.get(overall(certificates), 0)
-
-
-def write_sample(scene: str, out: Path, config: Config | None = None) -> None:
-    """Write a sample by its name, or a scene file, as a recorded log; routes by the guidance settings.
-
-    Raises
-    ------
-    UsageError
-        If there is no sample and no file of this name.
-    ScenarioError
-        If the scene cannot be driven.
-    """
-    from istc_replay.export.atomic import atomic_file
-    from istc_replay.export.sample_log import sample_bytes
-    from istc_replay.ingest.scene_file import read_scene
-    from istc_replay.samples.scenes import find_sample, record
-
-    settings = (config or Config()).guidance
-    if scene.endswith(".json"):
-        data = sample_bytes(record(read_scene(Path(scene)), settings))
-    else:
-        sample = find_sample(scene)
-        data = sample_bytes(sample.recorded(settings), sample.format)
-    with atomic_file(out) as file:
-        file.write_bytes(data)
-
-
-def write_figures(source: Path, folder: Path, formats: Sequence[Literal["png", "svg", "pdf"]]) -> list[Path]:
-    """Draw every window of a result (its folder or result.mcap); returns the files."""
-    from istc_replay.export.atomic import atomic_file, prepare_folder
-    from istc_replay.export.figures import draw_figures, figure_bytes
-    from istc_replay.ingest.result import load_result_folder
-
-    result = load_result_folder(source)
-    prepare_folder(folder)
-    files = []
-    for window in result.summary["windows"]:
-        for name, figure in draw_figures(result, window["index"]).items():
-            for kind in formats:
-                path = folder / f"window_{window['index']}_{name}.{kind}"
-                with atomic_file(path) as file:
-                    file.write_bytes(figure_bytes(figure, kind))
-                files.append(path)
-    return files
 
 
 @cache

@@ -1,0 +1,54 @@
+"""What the commands share: types of arguments, lists of formats, lines, and progress."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar
+
+import click
+
+from istc_replay import tell
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Sequence
+
+FILE = click.Path(path_type=Path)
+_Format = TypeVar("_Format", bound=str)
+
+config_option = click.option("-c", "--config", "config_path", type=FILE, help="Configuration (TOML).")
+
+
+def print_lines(lines: Iterable[str]) -> None:
+    """Print lines on stdout."""
+    for text in lines:
+        click.echo(text)
+
+
+def chosen_formats(formats: str, known: Sequence[_Format]) -> list[_Format]:
+    """Read a list with commas."""
+    parts = [part.strip() for part in formats.split(",")]
+    unknown = [part for part in parts if part not in known]
+    if unknown:
+        raise click.UsageError(f"--format {formats}: {unknown[0]!r} is not one of {', '.join(known)}")
+    return [name for name in known if name in parts]
+
+
+class Progress:
+    """One line on a terminal's stderr that tells what is being done; silent elsewhere."""
+
+    def __init__(self, name: str) -> None:
+        self._name = tell.line(name)
+        self._shown = sys.stderr.isatty()
+
+    def __enter__(self) -> Progress:
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        if self._shown:
+            click.echo("\r\x1b[K", nl=False, err=True)
+
+    def __call__(self, what: str, done: int, total: int) -> None:
+        if self._shown:
+            share = f" window {min(done + 1, total)} of {total}:" if total > 1 else ""
+            click.echo(f"\r\x1b[K{self._name}:{share} {what}", nl=False, err=True)

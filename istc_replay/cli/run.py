@@ -1,0 +1,50 @@
+"""`istc-replay run`."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from istc_replay import tell
+from istc_replay.cli.common import FILE, Progress, config_option, print_lines
+from istc_replay.cli.view import show
+from istc_replay.errors import IstcReplayError
+
+
+@click.command()
+@click.argument("logs", nargs=-1, required=True, type=FILE)
+@config_option
+@click.option(
+    "-o", "--output", type=FILE, default=Path("results"), show_default=True, help="Folder of the results."
+)
+@click.option("--view", is_flag=True, help="Open the view when done.")
+def run(logs: tuple[Path, ...], config_path: Path | None, output: Path, view: bool) -> int:
+    """Replay LOGS: per log result.mcap, view.rrd, report.html and summary.json.
+
+    \b
+    Example:  istc-replay run sample_logs/intersection_turn_first.mcap -o results
+    """
+    from istc_replay.config import load_config
+    from istc_replay.pipeline.replay import result_folders, run_log
+
+    config = load_config(config_path)
+    folders = result_folders(logs, output)
+    worst = 0
+    for path, folder in folders.items():
+        with Progress(path.name) as progress:
+            try:
+                done = run_log(path, folder, config, progress)
+            except IstcReplayError as error:
+                # Of many logs, one that fails does not stop the others.
+                if len(folders) == 1:
+                    raise
+                click.echo(f"istc-replay: {tell.line(error)}", err=True)
+                worst = max(worst, error.exit_code)
+                continue
+        print_lines(tell.run_lines(done.summary, folder))
+        worst = max(worst, done.exit_code)
+    if view:
+        for folder in folders.values():
+            show(folder)
+    return worst

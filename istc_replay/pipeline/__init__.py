@@ -1,0 +1,1 @@
+"""The one place where input and output meet the method: a module a job."""

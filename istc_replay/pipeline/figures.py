@@ -1,0 +1,28 @@
+"""Pictures of a result."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+
+def write_figures(source: Path, folder: Path, formats: Sequence[Literal["png", "svg", "pdf"]]) -> list[Path]:
+    """Draw every window of a result (its folder or result.mcap); returns the files."""
+    from istc_replay.export.atomic import atomic_file, prepare_folder
+    from istc_replay.export.figures import draw_figures, figure_bytes
+    from istc_replay.ingest.result import load_result_folder
+
+    result = load_result_folder(source)
+    prepare_folder(folder)
+    files = []
+    for window in result.summary["windows"]:
+        for name, figure in draw_figures(result, window["index"]).items():
+            for kind in formats:
+                path = folder / f"window_{window['index']}_{name}.{kind}"
+                with atomic_file(path) as file:
+                    file.write_bytes(figure_bytes(figure, kind))
+                files.append(path)
+    return files
