@@ -18,12 +18,12 @@ import polars as pl
 import shapely
 from numpy.typing import NDArray
 
-from istc_replay.audit.boxes import box_gap
-from istc_replay.audit.log_audit import audit_log
-from istc_replay.audit.swept import pair_measures
 from istc_replay.config import Config
 from istc_replay.datatypes import Log, StaticScene
 from istc_replay.geometry import box_corners
+from istc_replay.safety.boxes import box_gap
+from istc_replay.safety.log_audit import audit_log
+from istc_replay.safety.swept import pair_measures
 from istc_replay.states import STATES_SCHEMA, conform
 
 Array = NDArray[np.float64]

@@ -10,10 +10,10 @@ from typing import Any
 import pytest
 from pydantic import BaseModel
 
-from istc_replay.audit.certificate import certify
 from istc_replay.cli import cli
 from istc_replay.config import Config, parse_config, render_config
 from istc_replay.datatypes import Result
+from istc_replay.safety.certificate import certify
 
 ROOT = Path(__file__).resolve().parents[1]
 DOCS = {path.name: path.read_text(encoding="utf-8") for path in (ROOT / "docs").glob("*.md")}

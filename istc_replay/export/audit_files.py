@@ -12,12 +12,12 @@ from typing import Any, Literal
 
 import polars as pl
 
-from istc_replay.audit.log_audit import Audit
-from istc_replay.audit.rules import RULE_NAMES, SEVERITIES
 from istc_replay.datatypes import Log, Verdict
 from istc_replay.errors import ExportError
 from istc_replay.export.atomic import atomic_file, prepare_folder
 from istc_replay.export.tables import write_tables
+from istc_replay.safety.log_audit import Audit
+from istc_replay.safety.rules import RULE_NAMES, SEVERITIES
 from istc_replay.states import COVERAGE_SCHEMA, ENCOUNTERS_SCHEMA, FINDINGS_SCHEMA
 from istc_replay.units import NS_PER_S
 

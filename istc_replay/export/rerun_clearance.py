@@ -6,10 +6,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from istc_replay.audit.boxes import box_gap
 from istc_replay.datatypes import FloatArray
 from istc_replay.export.rerun_chunks import IntArray
 from istc_replay.export.rerun_stage import Span, Stage, Track
+from istc_replay.safety.boxes import box_gap
 
 #: Pairs farther apart than this are not of interest [m].
 HORIZON_M = 15.0

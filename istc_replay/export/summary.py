@@ -6,17 +6,17 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from istc_replay.audit.certificate import overall
 from istc_replay.datatypes import Verdict, WindowStatus
 from istc_replay.guidance.build import STANDING_MPS
 from istc_replay.ingest.result import SUMMARY_SCHEMA
+from istc_replay.safety.certificate import overall
 from istc_replay.units import NS_PER_S
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from istc_replay.audit.recorded import RecordedGap
     from istc_replay.datatypes import Certificate, Log, Participant, Scenario, Trajectory, WindowPlan
+    from istc_replay.safety.recorded import RecordedGap
 
 #: A vehicle that ends its recording standing has arrived where its plan ends this near.
 ARRIVED_M = 1.0

@@ -22,9 +22,9 @@ def audit_read(
     fail_on: Literal["minor", "serious", "critical"],
 ) -> tuple[str, int, list[Path]]:
     """Audit a log: what it found as Markdown, the exit code, and the files if a folder is given."""
-    from istc_replay.audit.log_audit import audit_log
     from istc_replay.export.audit_files import audit_exit_code, audit_markdown, write_audit
     from istc_replay.ingest.log import read_log
+    from istc_replay.safety.log_audit import audit_log
 
     log = read_log(source, config)
     found = audit_log(log, config)
@@ -34,9 +34,9 @@ def audit_read(
 
 def certify_again(source: Path) -> tuple[tuple[Certificate, ...], int]:
     """Certify a result's plans from its file; exit code 1 where a check fails, 3 where one is in doubt."""
-    from istc_replay.audit.certificate import certify, overall
     from istc_replay.config import parse_config
     from istc_replay.ingest.result import load_result_folder
+    from istc_replay.safety.certificate import certify, overall
 
     result = load_result_folder(source)
     certificates = certify(result, parse_config(result.config_toml))

@@ -156,11 +156,11 @@ def _plans(
 
 def _certify(log: Log, plans: Sequence[WindowPlan], config: Config, timing: Stages) -> Replay:
     """Write the plans, certify what the written result says, and write it again with the verdict."""
-    from istc_replay.audit.certificate import certify, overall
-    from istc_replay.audit.recorded import least_recorded_gap
     from istc_replay.export.result_mcap import result_bytes, solve_times
     from istc_replay.export.summary import summarise
     from istc_replay.ingest.result import read_result
+    from istc_replay.safety.certificate import certify, overall
+    from istc_replay.safety.recorded import least_recorded_gap
 
     toml = render_config(config)
     config_sha256 = hashlib.sha256(toml.encode()).hexdigest()
@@ -292,10 +292,6 @@ def versions() -> dict[str, str]:
 
 def _import_method() -> None:
     """Import the heavy libraries at one place, so that their time shows as a stage of its own."""
-    import istc_replay.audit.certificate
-    import istc_replay.coordinate
-    import istc_replay.export.result_mcap
-    import istc_replay.ingest.log  # noqa: F401
 
 
 def _cpu_s() -> float:

@@ -12,8 +12,6 @@ import numpy as np
 import polars as pl
 import pytest
 
-from istc_replay.audit.log_audit import Audit, audit_log
-from istc_replay.audit.rules import RULE_NAMES
 from istc_replay.config import Config
 from istc_replay.datatypes import Log, StaticScene
 from istc_replay.errors import ExportError
@@ -25,6 +23,8 @@ from istc_replay.export.audit_files import (
     audit_summary,
     write_audit,
 )
+from istc_replay.safety.log_audit import Audit, audit_log
+from istc_replay.safety.rules import RULE_NAMES
 from istc_replay.states import STATES_SCHEMA, conform
 
 ROOT = Path(__file__).resolve().parents[2]

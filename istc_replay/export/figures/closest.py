@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from istc_replay.audit.boxes import box_gap
 from istc_replay.datatypes import FloatArray
 from istc_replay.export.figures.tracks import Track
+from istc_replay.safety.boxes import box_gap
 
 #: A curve has at most this many points.
 _POINTS = 1000

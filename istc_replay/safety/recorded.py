@@ -8,8 +8,8 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from istc_replay.audit.boxes import box_gap
 from istc_replay.datatypes import FloatArray
+from istc_replay.safety.boxes import box_gap
 from istc_replay.units import NS_PER_S, wrap_angle
 
 IntArray = NDArray[np.int64]

@@ -23,9 +23,11 @@ from collections.abc import Iterable, Mapping
 
 import numpy as np
 
-from istc_replay.audit.case import build_case, listing
-from istc_replay.audit.cube_checks import cubes_disjoint, cubes_overlap, in_bounds, obstacles_clear
-from istc_replay.audit.motion_checks import (
+from istc_replay.config import Config
+from istc_replay.datatypes import Certificate, MapBounds, Result, Verdict
+from istc_replay.safety.case import build_case, listing
+from istc_replay.safety.cube_checks import cubes_disjoint, cubes_overlap, in_bounds, obstacles_clear
+from istc_replay.safety.motion_checks import (
     dynamics,
     in_corridor,
     limits,
@@ -33,10 +35,8 @@ from istc_replay.audit.motion_checks import (
     separation,
     start,
 )
-from istc_replay.audit.plan import WrittenPlan, written_plans
-from istc_replay.audit.recorded import Track, recorded_tracks
-from istc_replay.config import Config
-from istc_replay.datatypes import Certificate, MapBounds, Result, Verdict
+from istc_replay.safety.plan import WrittenPlan, written_plans
+from istc_replay.safety.recorded import Track, recorded_tracks
 
 _CHECKS = {
     "cubes_disjoint": cubes_disjoint,

@@ -9,10 +9,10 @@ import polars as pl
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from istc_replay.audit.bodies import Body
-from istc_replay.audit.smoothing import pieces_of, smoothed
 from istc_replay.audit_config import AuditConfig
 from istc_replay.datatypes import FloatArray
+from istc_replay.safety.bodies import Body
+from istc_replay.safety.smoothing import pieces_of, smoothed
 from istc_replay.states import VEHICLE_SAMPLES_SCHEMA, conform
 from istc_replay.units import NS_PER_S, wrap_angle
 

@@ -10,10 +10,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from istc_replay.audit.boxes import box_gap
-from istc_replay.audit.broad_phase import overlapping_pairs
-from istc_replay.audit.relation import conflict_angle
 from istc_replay.datatypes import FloatArray
+from istc_replay.safety.boxes import box_gap
+from istc_replay.safety.broad_phase import overlapping_pairs
+from istc_replay.safety.relation import conflict_angle
 
 IntArray = NDArray[np.int64]
 

@@ -9,10 +9,10 @@ import polars as pl
 import pytest
 from numpy.typing import NDArray
 
-from istc_replay.audit.log_audit import Audit, audit_log
-from istc_replay.audit.quality import Issue, doubtful_spans, is_doubtful
 from istc_replay.config import Config
 from istc_replay.datatypes import Verdict
+from istc_replay.safety.log_audit import Audit, audit_log
+from istc_replay.safety.quality import Issue, doubtful_spans, is_doubtful
 
 Array = NDArray[np.float64]
 NS = 1_000_000_000

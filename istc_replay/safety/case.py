@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from istc_replay.audit.motion import Motion, integrate
-from istc_replay.audit.plan import Boxes, IntArray, WrittenPlan
-from istc_replay.audit.recorded import Track
-from istc_replay.audit.sweep import Least
 from istc_replay.config import Config
 from istc_replay.datatypes import Certificate, FloatArray, MapBounds, Verdict
+from istc_replay.safety.motion import Motion, integrate
+from istc_replay.safety.plan import Boxes, IntArray, WrittenPlan
+from istc_replay.safety.recorded import Track
+from istc_replay.safety.sweep import Least
 from istc_replay.units import NS_PER_S
 
 #: The re-integration may add this share of the tolerance to a distance.

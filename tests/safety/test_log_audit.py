@@ -12,11 +12,11 @@ import polars as pl
 import pytest
 from numpy.typing import NDArray
 
-from istc_replay.audit.log_audit import Audit, audit_log
 from istc_replay.config import Config, parse_config
 from istc_replay.datatypes import Log, Verdict
 from istc_replay.errors import LogError
 from istc_replay.ingest.log import read_log
+from istc_replay.safety.log_audit import Audit, audit_log
 from istc_replay.states import (
     COVERAGE_SCHEMA,
     ENCOUNTERS_SCHEMA,
@@ -396,7 +396,7 @@ def test_how_a_log_is_cut_into_chunks_changes_nothing(
 ) -> None:
     log = logs.log_of(*calm(logs), *near_miss(logs), east(logs, "x", 20.0, 0.0, y_m=200.0))
     whole = audit_log(log, Config())
-    monkeypatch.setattr("istc_replay.audit.pair_samples._CHUNK_STATES", 150)
+    monkeypatch.setattr("istc_replay.safety.pair_samples._CHUNK_STATES", 150)
     cut = audit_log(log, Config())
     for name in ("findings", "encounters", "pair_samples", "vehicle_samples", "coverage"):
         assert getattr(whole, name).equals(getattr(cut, name))
@@ -425,6 +425,6 @@ def test_odd_logs_are_audited_without_much_ado(kind: str, logs: SimpleNamespace)
 def test_a_crowd_too_dense_for_the_memory_is_refused_by_name(
     logs: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("istc_replay.audit.broad_phase._MOST_PAIRS", 100)
+    monkeypatch.setattr("istc_replay.safety.broad_phase._MOST_PAIRS", 100)
     with pytest.raises(LogError, match="pairs of bodies are near each other"):
         audit_log(logs.log_of(*calm(logs)), Config())

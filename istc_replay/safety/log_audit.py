@@ -10,10 +10,12 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from istc_replay.audit.bodies import Body, common_times, recorded_bodies
-from istc_replay.audit.clocks import check_clocks
-from istc_replay.audit.encounters import encounter_rows, group_findings
-from istc_replay.audit.findings import (
+from istc_replay.config import Config
+from istc_replay.datatypes import Log, Verdict
+from istc_replay.safety.bodies import Body, common_times, recorded_bodies
+from istc_replay.safety.clocks import check_clocks
+from istc_replay.safety.encounters import encounter_rows, group_findings
+from istc_replay.safety.findings import (
     Finding,
     encroachment_findings,
     issue_findings,
@@ -21,8 +23,8 @@ from istc_replay.audit.findings import (
     vehicle_findings,
     vehicle_values,
 )
-from istc_replay.audit.pair_samples import pairs_table, sample_pairs
-from istc_replay.audit.quality import (
+from istc_replay.safety.pair_samples import pairs_table, sample_pairs
+from istc_replay.safety.quality import (
     Issue,
     body_issues,
     clock_issues,
@@ -30,10 +32,8 @@ from istc_replay.audit.quality import (
     is_doubtful,
     overlap_issues,
 )
-from istc_replay.audit.rules import PAIR_RULES, PET_RULE, VEHICLE_RULES
-from istc_replay.audit.vehicle_samples import Motion, smoothed_motion, vehicles_table
-from istc_replay.config import Config
-from istc_replay.datatypes import Log, Verdict
+from istc_replay.safety.rules import PAIR_RULES, PET_RULE, VEHICLE_RULES
+from istc_replay.safety.vehicle_samples import Motion, smoothed_motion, vehicles_table
 from istc_replay.states import COVERAGE_SCHEMA, ENCOUNTERS_SCHEMA, FINDINGS_SCHEMA, conform
 from istc_replay.units import NS_PER_S
 

@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from istc_replay.audit.events import Event, find_events
-from istc_replay.audit.smoothing import pieces_of, smoothed
-from istc_replay.audit.vehicle_samples import fit_samples
 from istc_replay.audit_config import AuditConfig
+from istc_replay.safety.events import Event, find_events
+from istc_replay.safety.smoothing import pieces_of, smoothed
+from istc_replay.safety.vehicle_samples import fit_samples
 
 Array = NDArray[np.float64]
 NS = 1_000_000_000

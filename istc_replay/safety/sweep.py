@@ -12,10 +12,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from istc_replay.audit.boxes import box_gap
-from istc_replay.audit.motion import Motion
-from istc_replay.audit.plan import IntArray
 from istc_replay.datatypes import FloatArray
+from istc_replay.safety.boxes import box_gap
+from istc_replay.safety.motion import Motion
+from istc_replay.safety.plan import IntArray
 
 #: Bisections of one interval, and intervals looked at for the proof on top of the first.
 _MOST_BISECTIONS = 32

@@ -6,12 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from istc_replay.audit.case import Case, certificate_of
-from istc_replay.audit.motion import boxes_of, speed_extreme_s
-from istc_replay.audit.sweep import Least, least_gap, moving_bodies, standing_bodies
-from istc_replay.audit.walls import least_inside
 from istc_replay.datatypes import Certificate, FloatArray
 from istc_replay.geometry import to_frame
+from istc_replay.safety.case import Case, certificate_of
+from istc_replay.safety.motion import boxes_of, speed_extreme_s
+from istc_replay.safety.sweep import Least, least_gap, moving_bodies, standing_bodies
+from istc_replay.safety.walls import least_inside
 from istc_replay.units import NS_PER_S, wrap_angle
 
 #: The planned and the recorded start may be this far apart [m].

@@ -8,15 +8,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from istc_replay.audit.bodies import Body
-from istc_replay.audit.events import Event, find_events
-from istc_replay.audit.pair_samples import Encroachments, Pairs
-from istc_replay.audit.quality import Issue, is_doubtful
-from istc_replay.audit.relation import CONFLICT_TYPES
-from istc_replay.audit.rules import PAIR_RULES, PET_RULE, VEHICLE_RULES, Rule
-from istc_replay.audit.vehicle_samples import Motion
 from istc_replay.audit_config import AuditConfig
 from istc_replay.datatypes import FloatArray, Verdict
+from istc_replay.safety.bodies import Body
+from istc_replay.safety.events import Event, find_events
+from istc_replay.safety.pair_samples import Encroachments, Pairs
+from istc_replay.safety.quality import Issue, is_doubtful
+from istc_replay.safety.relation import CONFLICT_TYPES
+from istc_replay.safety.rules import PAIR_RULES, PET_RULE, VEHICLE_RULES, Rule
+from istc_replay.safety.vehicle_samples import Motion
 from istc_replay.units import NS_PER_S
 
 IntArray = NDArray[np.int64]

@@ -15,8 +15,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from istc_replay.audit.plan import IntArray, VehiclePlan
 from istc_replay.datatypes import FloatArray
+from istc_replay.safety.plan import IntArray, VehiclePlan
 from istc_replay.units import NS_PER_S
 
 #: Beyond this steering angle the bicycle's tan(delta) means nothing.

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from istc_replay.audit.case import Case, certificate_of
-from istc_replay.audit.motion import boxes_of
-from istc_replay.audit.sweep import Least
-from istc_replay.audit.walls import least_inside, wall_margin
 from istc_replay.datatypes import Certificate, FloatArray, Frame
+from istc_replay.safety.case import Case, certificate_of
+from istc_replay.safety.motion import boxes_of
+from istc_replay.safety.sweep import Least
+from istc_replay.safety.walls import least_inside, wall_margin
 
 #: A yaw this near to a quarter turn keeps the map's bounds axis-aligned in the corridor frame.
 _ALIGNED = 1e-12

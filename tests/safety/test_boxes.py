@@ -7,8 +7,8 @@ import pytest
 import shapely
 from numpy.typing import NDArray
 
-from istc_replay.audit.boxes import box_gap
 from istc_replay.geometry import box_corners
+from istc_replay.safety.boxes import box_gap
 
 Array = NDArray[np.float64]
 

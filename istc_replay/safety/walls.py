@@ -6,11 +6,11 @@ from collections.abc import Callable
 
 import numpy as np
 
-from istc_replay.audit.motion import Motion, boxes_of
-from istc_replay.audit.plan import IntArray
-from istc_replay.audit.sweep import Least
 from istc_replay.datatypes import FloatArray, Frame
 from istc_replay.geometry import to_map
+from istc_replay.safety.motion import Motion, boxes_of
+from istc_replay.safety.plan import IntArray
+from istc_replay.safety.sweep import Least
 
 #: Bisections of one interval, and intervals looked at in all.
 _MOST_BISECTIONS = 32

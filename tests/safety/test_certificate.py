@@ -12,9 +12,9 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from istc_replay.audit.certificate import certify, overall
 from istc_replay.config import Config, parse_config
 from istc_replay.datatypes import Certificate, Frame, MapBounds, Result, Verdict
+from istc_replay.safety.certificate import certify, overall
 
 NS = 1_000_000_000
 CONFIG = Config()

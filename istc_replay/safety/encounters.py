@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from istc_replay.audit.bodies import Body
-from istc_replay.audit.boxes import box_gap
-from istc_replay.audit.findings import Finding, judged_values
-from istc_replay.audit.pair_samples import Encroachments, Pairs
-from istc_replay.audit.relation import CONFLICT_TYPES, conflict_angle, conflict_type, delta_v
-from istc_replay.audit.rules import SEVERITIES
 from istc_replay.audit_config import AuditConfig
 from istc_replay.datatypes import FloatArray, Verdict
+from istc_replay.safety.bodies import Body
+from istc_replay.safety.boxes import box_gap
+from istc_replay.safety.findings import Finding, judged_values
+from istc_replay.safety.pair_samples import Encroachments, Pairs
+from istc_replay.safety.relation import CONFLICT_TYPES, conflict_angle, conflict_type, delta_v
+from istc_replay.safety.rules import SEVERITIES
 from istc_replay.units import NS_PER_S
 
 IntArray = NDArray[np.int64]

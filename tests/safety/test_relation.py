@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from istc_replay.audit.pair_samples import rss_parameters
-from istc_replay.audit.relation import CONFLICT_TYPES, conflict_angle, conflict_type, delta_v, headway
-from istc_replay.audit.rss import (
+from istc_replay.audit_config import AuditConfig
+from istc_replay.safety.pair_samples import rss_parameters
+from istc_replay.safety.relation import CONFLICT_TYPES, conflict_angle, conflict_type, delta_v, headway
+from istc_replay.safety.rss import (
     rss_margin,
     safe_distance_lateral,
     safe_distance_opposite,
     safe_distance_same,
 )
-from istc_replay.audit_config import AuditConfig
 
 Array = NDArray[np.float64]
 AUDIT = AuditConfig()

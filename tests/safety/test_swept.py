@@ -7,10 +7,10 @@ import pytest
 import shapely
 from numpy.typing import NDArray
 
-from istc_replay.audit.boxes import box_gap
-from istc_replay.audit.braking import required_deceleration
-from istc_replay.audit.swept import pair_measures, silhouette_overlap, time_to_collision
 from istc_replay.geometry import box_corners
+from istc_replay.safety.boxes import box_gap
+from istc_replay.safety.braking import required_deceleration
+from istc_replay.safety.swept import pair_measures, silhouette_overlap, time_to_collision
 
 Array = NDArray[np.float64]
 

@@ -8,16 +8,16 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from istc_replay.audit.bodies import Body
-from istc_replay.audit.braking import required_deceleration
-from istc_replay.audit.broad_phase import overlapping_pairs, reach_hulls
-from istc_replay.audit.encroachment import encroachments
-from istc_replay.audit.relation import CONFLICT_TYPES, conflict_angle, conflict_type, delta_v, headway
-from istc_replay.audit.rss import RssParameters, rss_margin, safe_distance_same
-from istc_replay.audit.swept import pair_measures, silhouette_overlap
 from istc_replay.audit_config import AuditConfig
 from istc_replay.datatypes import FloatArray
 from istc_replay.errors import LogError
+from istc_replay.safety.bodies import Body
+from istc_replay.safety.braking import required_deceleration
+from istc_replay.safety.broad_phase import overlapping_pairs, reach_hulls
+from istc_replay.safety.encroachment import encroachments
+from istc_replay.safety.relation import CONFLICT_TYPES, conflict_angle, conflict_type, delta_v, headway
+from istc_replay.safety.rss import RssParameters, rss_margin, safe_distance_same
+from istc_replay.safety.swept import pair_measures, silhouette_overlap
 from istc_replay.states import PAIR_SAMPLES_SCHEMA, conform
 from istc_replay.units import NS_PER_S
 

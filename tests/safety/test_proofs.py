@@ -10,12 +10,12 @@ import numpy as np
 import polars as pl
 import pytest
 
-from istc_replay.audit.boxes import box_gap
-from istc_replay.audit.case import Case, build_case
-from istc_replay.audit.plan import written_plans
-from istc_replay.audit.sweep import Least, least_gap, moving_bodies, standing_bodies
-from istc_replay.audit.walls import least_inside, wall_margin
 from istc_replay.config import Config, parse_config
+from istc_replay.safety.boxes import box_gap
+from istc_replay.safety.case import Case, build_case
+from istc_replay.safety.plan import written_plans
+from istc_replay.safety.sweep import Least, least_gap, moving_bodies, standing_bodies
+from istc_replay.safety.walls import least_inside, wall_margin
 
 
 def case_of(scene: Any, config: Config | None = None) -> Case:

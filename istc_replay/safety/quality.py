@@ -8,12 +8,12 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from istc_replay.audit.bodies import Body
-from istc_replay.audit.clocks import Clock
-from istc_replay.audit.pair_samples import Pairs
-from istc_replay.audit.vehicle_samples import Motion
 from istc_replay.audit_config import AuditConfig
 from istc_replay.datatypes import FloatArray
+from istc_replay.safety.bodies import Body
+from istc_replay.safety.clocks import Clock
+from istc_replay.safety.pair_samples import Pairs
+from istc_replay.safety.vehicle_samples import Motion
 from istc_replay.units import NS_PER_S, wrap_angle
 
 IntArray = NDArray[np.int64]

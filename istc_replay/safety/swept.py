@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import ArrayLike
 
-from istc_replay.audit.boxes import box_gap
 from istc_replay.datatypes import FloatArray
+from istc_replay.safety.boxes import box_gap
 
 #: Pairs worked on at once: few enough that the temporaries stay in the processor's cache.
 _BLOCK = 16_384

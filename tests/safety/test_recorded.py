@@ -10,8 +10,8 @@ import pytest
 import shapely
 from numpy.typing import NDArray
 
-from istc_replay.audit.recorded import RecordedGap, least_recorded_gap, recorded_tracks
 from istc_replay.geometry import box_corners
+from istc_replay.safety.recorded import RecordedGap, least_recorded_gap, recorded_tracks
 from istc_replay.states import RESULT_STATES_SCHEMA, conform
 
 Array = NDArray[np.float64]

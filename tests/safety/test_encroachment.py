@@ -7,12 +7,12 @@ import pytest
 import shapely
 from numpy.typing import NDArray
 
-from istc_replay.audit.boxes import box_gap
-from istc_replay.audit.broad_phase import overlapping_pairs, reach_hulls
-from istc_replay.audit.encroachment import encroachments
-from istc_replay.audit.relation import conflict_angle
-from istc_replay.audit.swept import time_to_collision
 from istc_replay.geometry import box_corners
+from istc_replay.safety.boxes import box_gap
+from istc_replay.safety.broad_phase import overlapping_pairs, reach_hulls
+from istc_replay.safety.encroachment import encroachments
+from istc_replay.safety.relation import conflict_angle
+from istc_replay.safety.swept import time_to_collision
 
 Array = NDArray[np.float64]
 
