@@ -205,7 +205,7 @@ def test_more_vehicles_than_a_page_holds_get_more_pages(synthetic_result: Result
     assert {"own_corridors", "own_corridors_2"} <= set(drawn)
     panels = len(drawn["own_corridors"].axes) + len(drawn["own_corridors_2"].axes)
     assert panels == 12
-    assert "own_corridors_2" not in draw_scene(window_scene(many, 0), own_pages=1)
+    assert "own_corridors_2" not in draw_scene(window_scene(many, 0), most_pages=1)
 
 
 def test_vehicles_with_little_data_are_drawn_without_a_warning(synthetic_result: Result) -> None:

@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from istc_replay.datatypes import Result
 from istc_replay.export.figures.closest import closest_pair
 from istc_replay.export.figures.plan_view import draw_filmstrip, draw_top_down
-from istc_replay.export.figures.profiles import draw_separation, draw_speed_acceleration
+from istc_replay.export.figures.profiles import draw_separation, draw_speed_acceleration, speed_pages
 from istc_replay.export.figures.space_time import PANELS, draw_all_corridors, draw_own_corridors
 from istc_replay.export.figures.style import drawing_style
 from istc_replay.export.figures.tracks import WindowScene, window_scene
@@ -48,9 +48,9 @@ def draw_figures(result: Result, window: int) -> dict[str, Figure]:
     Returns
     -------
     dict
-        Figures by name: corridors, own_corridors (own_corridors_2 and so on past nine vehicles),
-        top_down, filmstrip, speed_acceleration, separation. A window without a plan has only
-        those that show the recording; one without recorded vehicles has none.
+        Figures by name: corridors, own_corridors, top_down, filmstrip, speed_acceleration,
+        separation; of many vehicles own_corridors_2, speed_acceleration_2 and so on. A window
+        without a plan has only those that show the recording; one without recorded vehicles none.
 
     Raises
     ------
@@ -60,8 +60,8 @@ def draw_figures(result: Result, window: int) -> dict[str, Figure]:
     return draw_scene(window_scene(result, window))
 
 
-def draw_scene(scene: WindowScene, own_pages: int | None = None) -> dict[str, Figure]:
-    """Draw the pictures of a gathered window, with at most `own_pages` pages of own corridors."""
+def draw_scene(scene: WindowScene, most_pages: int | None = None) -> dict[str, Figure]:
+    """Draw the pictures of a gathered window, with at most `most_pages` pages of each kind."""
     figures: dict[str, Figure] = {}
     as_recorded, as_planned = scene.compared
     recorded, planned = closest_pair(as_recorded), closest_pair(as_planned, _PLANNED_STEP_S)
@@ -69,17 +69,22 @@ def draw_scene(scene: WindowScene, own_pages: int | None = None) -> dict[str, Fi
         if scene.corridors:
             figures["corridors"] = draw_all_corridors(scene)
             pages = ceil(len(scene.corridors) / PANELS)
-            for page in range(pages if own_pages is None else min(pages, own_pages)):
-                name = "own_corridors" if page == 0 else f"own_corridors_{page + 1}"
-                figures[name] = draw_own_corridors(scene, page)
+            for page in range(pages if most_pages is None else min(pages, most_pages)):
+                figures[_page("own_corridors", page)] = draw_own_corridors(scene, page)
         if scene.recorded or scene.planned:
             figures["top_down"] = draw_top_down(scene, recorded)
-            figures["speed_acceleration"] = draw_speed_acceleration(scene)
+            pages = speed_pages(scene)
+            for page in range(pages if most_pages is None else min(pages, most_pages)):
+                figures[_page("speed_acceleration", page)] = draw_speed_acceleration(scene, page)
         if recorded is not None:
             figures["filmstrip"] = draw_filmstrip(scene, recorded)
         if recorded is not None or planned is not None:
             figures["separation"] = draw_separation(scene, recorded, planned)
     return figures
+
+
+def _page(name: str, page: int) -> str:
+    return name if page == 0 else f"{name}_{page + 1}"
 
 
 def figure_bytes(figure: Figure, format: Format) -> bytes:  # noqa: A002

@@ -19,6 +19,7 @@ from istc_replay.export.figures.style import (
     INK,
     MUTED,
     NAMED,
+    PAPER,
     VehicleStyle,
     foot_height_in,
     foot_legend,
@@ -102,8 +103,7 @@ def draw_filmstrip(scene: WindowScene, conflict: ClosestPair) -> Figure:
     reach = max(reach, min(_NEAR_S * speed_mps, _FAR_M))
     # Fast vehicles cross the picture soon: more of it is shown, in shorter steps.
     step_s = min(max(scene.unit_s, scene.duration_s / 12.0), max(0.4 * reach / max(speed_mps, 0.1), 0.2))
-    first_s = float(np.clip(conflict.time_s - 2.5 * step_s, 0.0, max(scene.duration_s - 5.0 * step_s, 0.0)))
-    times_s = np.minimum(first_s + step_s * np.arange(_FRAMES), scene.duration_s)
+    times_s = _instants(conflict.time_s, step_s, scene.duration_s)
     x, y = conflict.place_m
     columns, rows = 3, ceil(_FRAMES / 3)
     side = (_WIDTH_IN - 0.9) / columns - 0.15
@@ -125,7 +125,10 @@ def draw_filmstrip(scene: WindowScene, conflict: ClosestPair) -> Figure:
         _draw_cubes(axes, scene, float(time_s))
         _draw_boxes(axes, scene, scene.recorded, float(time_s), filled=False)
         _draw_boxes(axes, scene, scene.planned, float(time_s), filled=True)
-        axes.set_title(f"t = {time_s:.2f} s")
+        closest = time_s == conflict.time_s
+        axes.set_title(f"t = {time_s:.2f} s" + (", closest as recorded" if closest else ""))
+        if closest and conflict.least_m < _CLOSE_M:
+            axes.plot(x, y, "o", markersize=30, mfc="none", markeredgecolor=CONTACT)
     meaning: list[tuple[str, dict[str, Any]]] = [
         ("box as recorded", {"linestyle": (0, (2, 1.2)), "linewidth": 1.1})
     ]
@@ -135,6 +138,16 @@ def draw_filmstrip(scene: WindowScene, conflict: ClosestPair) -> Figure:
     foot_legend(figure, styles, meaning)
     origin_note(figure, scene.origin_m, at_top=True)
     return figure
+
+
+def _instants(time_s: float, step_s: float, duration_s: float) -> FloatArray:
+    """The frames' instants, `time_s` among them: two before it if the window has room."""
+    step_s = min(step_s, duration_s / (_FRAMES - 1))
+    most_before = time_s / step_s
+    least_before = _FRAMES - 1 - (duration_s - time_s) / step_s
+    before = int(np.clip(np.ceil(max(least_before - 1e-9, 2.0)), 0, np.floor(most_before + 1e-9)))
+    times_s = time_s + step_s * (np.arange(_FRAMES) - before)
+    return np.asarray(np.clip(times_s, 0.0, duration_s))
 
 
 def _speed(track: Track, time_s: float) -> float:
@@ -190,10 +203,10 @@ def _draw_path(axes: Axes, scene: WindowScene, name: str, track: Track, look: di
         across = _TICK_M * np.column_stack([-np.sin(poses[:, 2]), np.cos(poses[:, 2])])
         ticks = np.stack([poses[:, :2] - across, poses[:, :2] + across], axis=1)
         axes.add_collection(LineCollection(list(ticks), colors=style.colour, linewidths=0.9), autolim=False)
-    start = track.poses[0]
-    axes.plot(
-        *start[:2], style.marker, color=style.colour, markersize=5, markeredgecolor=INK, markeredgewidth=0.5
-    )
+    start, end = track.poses[0], track.poses[-1]
+    marked: dict[str, Any] = {"color": style.colour, "markersize": 5, "markeredgewidth": 0.5}
+    axes.plot(*start[:2], style.marker, markeredgecolor=INK, **marked)
+    axes.plot(*end[:2], style.marker, markeredgecolor=style.colour, **marked | {"mfc": PAPER})
     if len(scene.recorded) <= NAMED:
         _name_start(axes, start, style.label)
 
@@ -253,8 +266,10 @@ def _draw_boxes(
             style = scene.styles[name]
             boxes.append(box)
             colours.append(style.colour)
-            if filled or not scene.has_plan:
-                axes.plot(*box.mean(axis=0), style.marker, color=INK, markersize=3, zorder=4, clip_on=True)
+            marked: dict[str, Any] = (
+                {"color": INK} if filled or not scene.has_plan else {"color": style.colour, "mfc": "none"}
+            )
+            axes.plot(*box.mean(axis=0), style.marker, markersize=3, zorder=4, clip_on=True, **marked)
     if not boxes:
         return
     fills = [to_rgba(colour, 0.55 if filled else 0.0) for colour in colours]
@@ -282,7 +297,9 @@ def _draw_cubes(axes: Axes, scene: WindowScene, time_s: float) -> None:
     outlines, colours = [], []
     shapes = [(scene.styles[name].colour, shape) for name, shape in scene.corridors.items()]
     for colour, shape in shapes + [(MUTED, shape) for shape in scene.obstacles]:
-        now = (shape.spans_s[:, 0] <= time_s + 1e-9) & (time_s - 1e-9 <= shape.spans_s[:, 1])
+        # At the instant between two cubes the one that begins is shown.
+        now = (shape.spans_s[:, 0] <= time_s + 1e-9) & (time_s + 1e-9 < shape.spans_s[:, 1])
+        now |= (shape.spans_s[:, 1] == shape.spans_s[:, 1].max()) & (abs(time_s - shape.spans_s[:, 1]) < 1e-9)
         outlines += list(shape.outlines_m[now])
         colours += [colour] * int(now.sum())
     if outlines:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from math import ceil
 from typing import Any
 
 import numpy as np
@@ -13,8 +13,10 @@ from matplotlib.patheffects import withStroke
 from istc_replay.export.figures.closest import ClosestPair
 from istc_replay.export.figures.style import (
     CONTACT,
+    GRID,
     INK,
     MUTED,
+    NAMED,
     PAPER,
     line_legend,
     new_figure,
@@ -29,34 +31,96 @@ _RECORDED: dict[str, Any] = {"linestyle": (0, (4, 2.4)), "linewidth": 1.0, "path
 #: Gaps up to here are always on the scale [m].
 _INTERESTING_M = 8.0
 _LIMIT: dict[str, Any] = {"linestyle": (0, (7, 2, 1.5, 2)), "linewidth": 0.9, "color": INK}
+_OTHERS: dict[str, Any] = {"linestyle": "-", "linewidth": 0.7, "color": GRID, "zorder": 1.0}
+_QUANTITIES = (("speeds_mps", "speed [m/s]"), ("accelerations_mps2", "acceleration [m/s²]"))
+_PANELS, _COLUMNS = 12, 4
 
 
-def draw_speed_acceleration(scene: WindowScene) -> Figure:
-    """Draw speed and acceleration over time, recorded and planned, as the paper's Fig. 8."""
+def speed_pages(scene: WindowScene) -> int:
+    """Pages that `draw_speed_acceleration` needs: one for a few vehicles, else one a dozen."""
+    names = scene.recorded | scene.planned
+    return 1 if len(names) <= NAMED else ceil(len(names) / _PANELS)
+
+
+def draw_speed_acceleration(scene: WindowScene, page: int = 0) -> Figure:
+    """Draw speed and acceleration over time, recorded and planned, as the paper's Fig. 8.
+
+    Many vehicles get a panel each, with all others in the background.
+    """
+    if speed_pages(scene) > 1 or len(scene.recorded | scene.planned) > NAMED:
+        return _draw_panels(scene, page)
     figure = new_figure(9.9, 5.4)
     axes = [figure.add_axes((0.065, bottom, 0.725, 0.415)) for bottom in (0.555, 0.085)]
-    for target, quantity in zip(axes, ("speeds_mps", "accelerations_mps2"), strict=True):
-        for name, track in scene.recorded.items():
-            _draw_line(target, scene, name, track, quantity, _RECORDED, planned=False)
-        for name, track in scene.planned.items():
-            _draw_line(target, scene, name, track, quantity, _PLANNED, planned=True)
-        target.set(xlim=(0.0, scene.duration_s))
+    limited = False
+    for target, (quantity, label) in zip(axes, _QUANTITIES, strict=True):
+        for tracks, look in ((scene.recorded, _RECORDED), (scene.planned, _PLANNED)):
+            for name, track in tracks.items():
+                _draw_line(target, scene, name, track, quantity, look, planned=tracks is scene.planned)
+        target.set(xlim=(0.0, scene.duration_s), ylabel=label)
         target.margins(y=0.08)
-    axes[0].set(ylabel="speed [m/s]", xticklabels=[])
-    axes[1].set(ylabel="acceleration [m/s²]", xlabel="time from the window's start [s]")
-    if scene.planned:
-        limits = scene.config.trajectories
-        _draw_limits(axes[0], (0.0, _speed_limit_mps(scene)))
-        _draw_limits(axes[1], (-limits.deceleration_max_mps2, limits.acceleration_max_mps2))
+        limited |= _draw_limits(target, scene, quantity)
+    axes[0].set(xticklabels=[])
+    axes[1].set(xlabel="time from the window's start [s]")
     names = list(scene.recorded | scene.planned)
     vehicle_legend(
         figure, [scene.styles[name] for name in names], loc="upper left", bbox_to_anchor=(0.795, 0.99)
     )
-    meaning = [("recorded", _RECORDED)]
-    if scene.planned:
-        meaning = [("planned", _PLANNED), ("recorded", _RECORDED), ("limit of the plan", _LIMIT)]
-    line_legend(figure, meaning, loc="lower left", bbox_to_anchor=(0.795, 0.06))
+    line_legend(figure, _meaning(scene, limited), loc="lower left", bbox_to_anchor=(0.795, 0.06))
     return figure
+
+
+def _meaning(scene: WindowScene, limited: bool) -> list[tuple[str, dict[str, Any]]]:
+    planned = [("planned", _PLANNED)] if scene.planned else []
+    return [*planned, ("recorded", _RECORDED), *([("limit of the plan", _LIMIT)] if limited else [])]
+
+
+def _draw_panels(scene: WindowScene, page: int) -> Figure:
+    """One pair of panels a vehicle: its own lines in its colour, those of all others in grey."""
+    names = list(scene.recorded | scene.planned)
+    shown = names[page * _PANELS : (page + 1) * _PANELS]
+    rows = ceil(len(shown) / _COLUMNS)
+    height_in = 2.55 * rows + 0.55
+    figure = new_figure(9.9, height_in)
+    limits = {quantity: _common_range(scene, quantity) for quantity, _ in _QUANTITIES}
+    limited = False
+    for place, name in enumerate(shown):
+        row, column = divmod(place, _COLUMNS)
+        top_in = height_in - 0.28 - 2.55 * row
+        for part, (quantity, label) in enumerate(_QUANTITIES):
+            left, bottom_in = 0.06 + 0.24 * column, top_in - 0.98 - 1.08 * part
+            axes = figure.add_axes((left, bottom_in / height_in, 0.205, 0.98 / height_in))
+            _draw_panel(axes, scene, name, quantity)
+            axes.set(xlim=(0.0, scene.duration_s), ylim=limits[quantity])
+            limited |= _draw_limits(axes, scene, quantity)
+            lowest = place + _COLUMNS >= len(shown)
+            axes.set(
+                ylabel="" if column else label.replace(" ", "\n"),
+                xlabel="time [s]" if part and lowest else "",
+            )
+            axes.tick_params(labelleft=not column, labelbottom=bool(part))
+        figure.text(left, (top_in + 0.06) / height_in, scene.styles[name].label, fontsize=8.5)
+    meaning = [*_meaning(scene, limited), ("all others", _OTHERS)]
+    line_legend(figure, meaning, loc="lower right", bbox_to_anchor=(1.0, 0.0), ncols=len(meaning))
+    return figure
+
+
+def _common_range(scene: WindowScene, quantity: str) -> tuple[float, float]:
+    tracks = [*scene.recorded.values(), *scene.planned.values()]
+    values = np.concatenate([getattr(track, quantity) for track in tracks])
+    low, high = float(np.nanmin(values, initial=0.0)), float(np.nanmax(values, initial=0.0))
+    margin = 0.08 * (high - low) or 1.0
+    return low - margin, high + margin
+
+
+def _draw_panel(axes: Axes, scene: WindowScene, name: str, quantity: str) -> None:
+    basis = scene.planned or scene.recorded
+    for other, track in basis.items():
+        if other != name:
+            axes.plot(*track.with_gaps(getattr(track, quantity)), **_OTHERS)
+    if name in scene.recorded:
+        _draw_line(axes, scene, name, scene.recorded[name], quantity, _RECORDED, planned=False)
+    if name in scene.planned:
+        _draw_line(axes, scene, name, scene.planned[name], quantity, _PLANNED, planned=True)
 
 
 def _draw_line(
@@ -74,7 +138,7 @@ def _draw_line(
     axes.plot(times, values, color=style.colour, zorder=2.0 if planned else 2.1, **look)
     if planned or not scene.planned:
         # Markers once a second or so, shifted a little from vehicle to vehicle.
-        count = max(int(scene.duration_s), 1)
+        count = max(int(times[-1] - times[0]), 1)
         every = max(len(times) // count, 1)
         first = list(scene.styles).index(name) * max(every // 4, 1) % every
         axes.plot(
@@ -93,13 +157,18 @@ def _speed_limit_mps(scene: WindowScene) -> float:
     return max(scene.config.trajectories.speed_max_mps, 1.15 * max(fastest, default=0.0) + 1.0)
 
 
-def _draw_limits(axes: Axes, limits: Iterable[float]) -> None:
-    """Draw limits, but do not squeeze the lines for one that is far away."""
+def _draw_limits(axes: Axes, scene: WindowScene, quantity: str) -> bool:
+    """Draw the plan's limits, but do not squeeze the lines for one that is far away."""
+    limits = scene.config.trajectories
+    both = (-limits.deceleration_max_mps2, limits.acceleration_max_mps2)
+    if quantity == "speeds_mps":
+        both = (0.0, _speed_limit_mps(scene))
     bottom, top = axes.get_ylim()
     reach = 0.6 * (top - bottom)
-    for limit in limits:
-        if bottom - reach <= limit <= top + reach:
-            axes.axhline(limit, **_LIMIT)
+    near = [limit for limit in both if scene.planned and bottom - reach <= limit <= top + reach]
+    for limit in near:
+        axes.axhline(limit, **_LIMIT)
+    return bool(near)
 
 
 def draw_separation(scene: WindowScene, recorded: ClosestPair | None, planned: ClosestPair | None) -> Figure:

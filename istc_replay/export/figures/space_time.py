@@ -21,6 +21,7 @@ from istc_replay.export.figures.style import (
     MUTED,
     NAMED,
     PAPER,
+    SIDE_ENTRIES,
     VehicleStyle,
     line_legend,
     new_figure,
@@ -56,7 +57,7 @@ def draw_all_corridors(scene: WindowScene) -> Figure:
     for name, shape in scene.corridors.items():
         _draw_pivots(axes, shape, scene.styles[name], named=len(scene.corridors) <= NAMED)
     shown = [scene.styles[name] for name in scene.corridors]
-    vehicle_legend(figure, shown, loc="upper right", bbox_to_anchor=(1.0, 0.96))
+    vehicle_legend(figure, shown, SIDE_ENTRIES, loc="upper right", bbox_to_anchor=(1.0, 0.99))
     meaning: list[tuple[str, dict[str, Any]]] = [("pivotal points", {"marker": "o", "markersize": 4})]
     if len(scene.lanes_m):
         meaning.append(("lanes (on the floor)", {"color": GRID, "linewidth": 2.5}))
@@ -155,6 +156,9 @@ def _space_time_axes(
         axis.labelpad = -4.0 if axis is axes.zaxis else -1.0
         short = axis is not axes.zaxis and size["xy".index(axis.axis_name)] < 0.45 * size.max()
         axis.set_major_locator(MaxNLocator(nbins=2 if short else 5, steps=[1, 2, 5, 10]))
+    # Turned along its axis, it would stand on its head on the left.
+    axes.zaxis.set_rotate_label(False)
+    axes.zaxis.label.set_rotation(90.0)
     axes.tick_params(pad=0)
     _fill_place(axes, place)
     return axes

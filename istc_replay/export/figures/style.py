@@ -16,15 +16,19 @@ from matplotlib.figure import Figure
 from matplotlib.font_manager import FontProperties, findfont, get_font
 from matplotlib.lines import Line2D
 
-from istc_replay.export.colours import vehicle_colours
+from istc_replay.export.colours import Colour, vehicle_colours
 
 #: The four colours that belong to no vehicle; the report swaps them for its theme's own.
 INK, MUTED, GRID, PAPER = "#1e2329", "#69707a", "#d3d7dc", "#fefefe"
 CONTACT = "#c8321f"
 
+#: Relative luminance of lines at most: three to one against white, and against a dark page as well.
+_LUMINANCE_MAX = 0.25
 MARKERS = "os^Dvp<>Ph"
 LABEL_CHARACTERS = 20
 LEGEND_ENTRIES = 12
+#: Entries of a legend that has a side of the picture to itself.
+SIDE_ENTRIES = 26
 #: Up to this many vehicles are named beside their paths, more in the legend alone.
 NAMED = 8
 
@@ -102,14 +106,30 @@ def vehicle_styles(vehicle_ids: Iterable[str], excluded: Collection[str] = ()) -
         # A bare number could be read as a second or a coordinate; what is left out may be no vehicle.
         kind = "" if not vehicle_id.isdigit() else "no. " if vehicle_id in excluded else "vehicle "
         marker = MARKERS[index % len(MARKERS)]
-        styles[vehicle_id] = VehicleStyle(hex_colour(colour), marker, drawable(kind + vehicle_id))
+        styles[vehicle_id] = VehicleStyle(line_colour(colour), marker, drawable(kind + vehicle_id))
     return styles
 
 
-def hex_colour(colour: tuple[int, int, int]) -> str:
-    """Return a colour as #rrggbb."""
-    red, green, blue = colour
-    return f"#{red:02x}{green:02x}{blue:02x}"
+def line_colour(colour: Colour) -> str:
+    """Return a colour as #rrggbb, darkened where thin lines of it would be too pale on paper."""
+    factor = min(_LUMINANCE_MAX / relative_luminance(colour), 1.0) if any(colour) else 1.0
+    channels = (round(255.0 * _encoded(factor * _linear(value))) for value in colour)
+    return "#" + "".join(f"{channel:02x}" for channel in channels)
+
+
+def relative_luminance(colour: Colour) -> float:
+    """Relative luminance of an sRGB colour, 0 black to 1 white (WCAG 2.2)."""
+    red, green, blue = (_linear(value) for value in colour)
+    return 0.2126 * red + 0.7152 * green + 0.0722 * blue
+
+
+def _linear(value: int) -> float:
+    share = value / 255.0
+    return share / 12.92 if share <= 0.04045 else float(((share + 0.055) / 1.055) ** 2.4)
+
+
+def _encoded(share: float) -> float:
+    return 12.92 * share if share <= 0.0031308 else float(1.055 * share ** (1.0 / 2.4) - 0.055)
 
 
 def drawable(text: str) -> str:
@@ -139,10 +159,12 @@ def origin_note(figure: Figure, origin_m: tuple[float, float], *, at_top: bool) 
         figure.text(x, y, note, fontsize=6.5, color=MUTED, **align)
 
 
-def vehicle_legend(target: Axes | Figure, styles: Iterable[VehicleStyle], **where: Any) -> None:
-    """Name the vehicles by colour and marker; past a dozen the rest is counted."""
+def vehicle_legend(
+    target: Axes | Figure, styles: Iterable[VehicleStyle], most: int = LEGEND_ENTRIES, **where: Any
+) -> None:
+    """Name the vehicles by colour and marker; past `most` the rest is counted."""
     styles = list(styles)
-    shown = styles[:LEGEND_ENTRIES]
+    shown = styles[:most]
     handles: list[Artist] = [
         Line2D([], [], color=style.colour, marker=style.marker, markersize=4.5, linewidth=2)
         for style in shown

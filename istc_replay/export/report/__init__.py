@@ -12,7 +12,7 @@ from istc_replay.datatypes import Result, WindowStatus
 from istc_replay.errors import ConfigError
 from istc_replay.export.colours import vehicle_colours
 from istc_replay.export.figures import window_scene
-from istc_replay.export.figures.style import hex_colour
+from istc_replay.export.figures.style import line_colour
 from istc_replay.export.report.header import head, problem_list, settings, window_list
 from istc_replay.export.report.markup import Html, element
 from istc_replay.export.report.page import page
@@ -122,7 +122,7 @@ def _swatches(result: Result) -> Callable[[str], Html]:
         colour = colours.get(vehicle_id)
         if colour is None:
             return Html("")
-        return element("span", class_="swatch", style=f"background:{hex_colour(colour)}")
+        return element("span", class_="swatch", style=f"background:{line_colour(colour)}")
 
     return swatch
 

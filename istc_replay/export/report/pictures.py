@@ -48,7 +48,7 @@ _ORDER = ("corridors", "own_corridors", "top_down", "filmstrip", "speed_accelera
 
 def window_pictures(scene: WindowScene) -> Html:
     """Draw a window's pictures with their captions."""
-    figures = draw_scene(scene, own_pages=1)
+    figures = draw_scene(scene, most_pages=1)
     index = scene.window["index"]
     shown = []
     for picture in _ORDER:
