@@ -11,9 +11,10 @@ from istc_replay.corridors.solve import solve_corridors
 from istc_replay.datatypes import WindowPlan, WindowStatus
 from istc_replay.field import Field, lateral_excursion_m, least_cover, prepare
 from istc_replay.guidance.build import build_guidance
-from istc_replay.scenario import TRAFFIC_UNITS_S, build_scenario
+from istc_replay.scenario import build_scenario
 from istc_replay.trajectories.plan import TrajectoryPlanner
 from istc_replay.trajectories.repair import RecordingRepairer
+from istc_replay.windows import TRAFFIC_UNITS_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -22,13 +23,13 @@ if TYPE_CHECKING:
     from istc_replay.corridors.problem import Limits
     from istc_replay.datatypes import (
         Corridors,
-        Log,
         Scenario,
         SolveRecord,
         Trajectory,
         Undrivable,
     )
     from istc_replay.trajectories.plan import TrajectoryOutcome
+    from istc_replay.windows import LogPart
 
 #: Plans may be this much faster than the fastest recorded vehicle of their window.
 _FASTER_SHARE, _FASTER_MPS = 1.15, 1.0
@@ -62,41 +63,45 @@ class Planners:
         return self._planners[key]
 
 
-def plan_span(
-    log: Log,
+def plan_part(
+    part: LogPart,
     config: Config,
-    span: tuple[int, int, int],
     planners: Planners,
     progress: Callable[[str], None] = lambda _: None,
 ) -> WindowPlan:
     """Plan one window of a log; of traffic with finer time units where vehicles had to be frozen.
 
+    The plan follows from the part and the configuration alone, whatever was planned before.
+
     Parameters
     ----------
-    log, config
-        What was read, and the settings.
-    span : tuple
-        Of `scenario.window_spans`.
+    part : LogPart
+        Of `windows.log_parts`.
+    config : Config
+        The settings in force.
     planners : Planners
         Shared by all windows.
     progress : callable
         Told in words what is being done.
     """
+    began = time.perf_counter()
 
-    def attempt(scenario: Scenario) -> WindowPlan:
+    def attempt(unit_s: float | None = None) -> WindowPlan:
+        scenario = build_scenario(part, config, unit_s)
         return plan_window(scenario, config, planners.of(scenario), progress, planners.repairer)
 
-    best = attempt(build_scenario(log, config, span))
+    best = attempt()
     seconds = dict(best.seconds)
     if best.scenario.traffic and config.window.unit_s == "auto":
         for unit_s in TRAFFIC_UNITS_S:
             if unit_s >= best.scenario.window.unit_s or not best.frozen:
                 continue
-            finer = attempt(build_scenario(log, config, span, unit_s))
+            finer = attempt(unit_s)
             for name, value in finer.seconds.items():
                 seconds[name] = seconds.get(name, 0.0) + value
             if len(finer.trajectories) > len(best.trajectories):
                 best = finer
+    seconds["scenario"] = time.perf_counter() - began - sum(seconds.values())
     return replace(best, seconds=seconds)
 
 

@@ -431,6 +431,24 @@ class WindowPlan:
     obstacle_gap_m: float | None = None
 
 
+@dataclass(frozen=True, slots=True)
+class RecordedGap:
+    """The least gap of two recorded boxes (negative: they overlap), whose, and when."""
+
+    min_separation_m: float
+    pair: tuple[str, str]
+    time_ns: int
+
+
+@dataclass(frozen=True, slots=True)
+class WindowOutcome:
+    """A window's plan as its certificates judge it, and the least gap of its recording."""
+
+    plan: WindowPlan
+    certificates: tuple[Certificate, ...] = ()
+    recorded: RecordedGap | None = None
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Result:
     """A result as read back from a result.mcap, the same truth that every view shows.

@@ -25,31 +25,19 @@ from istc_replay.datatypes import (
     Window,
     read_only,
 )
-from istc_replay.errors import ScenarioError
 from istc_replay.geometry import box_corners, rotate, to_frame
 from istc_replay.road_frame import Body, conflicts, road_yaw
 from istc_replay.tracks import UsableTrack, known_poses, known_states, swept_boxes, usable_track
-from istc_replay.units import NS_PER_S, seconds_to_ns
+from istc_replay.units import seconds_to_ns
+from istc_replay.windows import CALM_UNIT_S, LogPart, first_unit_s, log_parts
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from istc_replay.config import Config, VehiclesConfig, WindowConfig
+    from istc_replay.config import Config, VehiclesConfig
 
-#: Time units by rule: of a scene, of traffic from coarse to fine, of traffic without any conflict.
-SCENE_UNIT_S, TRAFFIC_UNITS_S, CALM_UNIT_S = 1.0, (0.5, 0.25), 1.0
-#: Limits and weights of layer 2 in traffic, where the configuration does not set them.
-TRAFFIC_LIMITS = {
-    "acceleration_max_mps2": 3.5,
-    "deceleration_max_mps2": 6.0,
-    "pivotal_x_weight": 20.0,
-    "pivotal_y_weight": 20.0,
-    "steering_rate_weight": 5.0,
-}
 #: Reasons of exclusion that tell of a road user whose motion is well known.
 AS_RECORDED = ("not_a_vehicle", "uncooperative")
-#: States this far outside a window still tell the state at its ends.
-_MARGIN_S = 1.0
 
 
 def build_scenarios(log: Log, config: Config) -> Iterator[Scenario]:
@@ -60,133 +48,52 @@ def build_scenarios(log: Log, config: Config) -> Iterator[Scenario]:
     ScenarioError
         If the log has no vehicle, or is shorter than one time unit.
     """
-    check_states(log)
-    for span in window_spans(log, config):
-        yield build_scenario(log, config, span)
+    for part in log_parts(log, config):
+        yield build_scenario(part, config)
 
 
-def check_states(log: Log) -> None:
-    """Refuse a log without vehicles.
-
-    Raises
-    ------
-    ScenarioError
-        If it has none.
-    """
-    if log.states.is_empty():
-        understood = ", ".join(sorted({c.schema for c in log.channels if c.schema})) or "none"
-        raise ScenarioError(
-            f"{log.path}: no vehicle states; schemas in the log: {understood}; "
-            "see docs/formats.md for what is read, or name the topic in [ingest.topics]"
-        )
-
-
-def settled_config(log: Log, config: Config) -> Config:
-    """The settings in force: in traffic, layer 2 may brake and speed up as recorded traffic does.
-
-    It also keeps closer to its pivotal points, which lie on the road where nothing needs to change.
-    """
-    limits = config.trajectories
-    if not is_traffic(log, config.window):
-        return config
-    free = {name: value for name, value in TRAFFIC_LIMITS.items() if name not in limits.model_fields_set}
-    return config.model_copy(update={"trajectories": limits.model_copy(update=free)})
-
-
-def window_spans(log: Log, config: Config) -> list[tuple[int, int, int]]:
-    """Start [ns], length [ns] and index of every window of a log.
-
-    Raises
-    ------
-    ScenarioError
-        If the log is shorter than one time unit.
-    """
-    window, traffic = config.window, is_traffic(log, config.window)
-    unit_ns = seconds_to_ns(first_unit_s(log, window))
-    firsts = log.states.group_by("vehicle_id").agg(pl.col("time_ns").min())["time_ns"].to_numpy()
-    # Vehicles are sampled in turn: start when all that are there at the start have been seen.
-    start = int(firsts[firsts - firsts.min() < unit_ns // 2].max())
-    end = int(log.states["time_ns"].max())  # type: ignore[arg-type]
-    span = end - start
-    if span < unit_ns:
-        raise ScenarioError(
-            f"{log.path}: {span / NS_PER_S:.3f} s of states, less than one time unit of "
-            f"{unit_ns / NS_PER_S:g} s; set window.unit_s lower"
-        )
-    if span <= seconds_to_ns(window.horizon_s if traffic else window.whole_log_s):
-        return [(start, span, 0)]
-    horizon = seconds_to_ns(window.horizon_s)
-    offsets = range(0, span, seconds_to_ns(window.stride_s))
-    spans = ((start + offset, min(horizon, span - offset), index) for index, offset in enumerate(offsets))
-    return [whole for whole in spans if whole[1] >= unit_ns]
-
-
-def is_traffic(log: Log, config: WindowConfig) -> bool:
-    """Whether a log is recorded traffic: nothing of a scene is told, and someone is fast."""
-    if config.rules != "auto":
-        return config.rules == "traffic"
-    scene = log.scene
-    if scene.lane_lines or scene.obstacles or scene.vehicles or scene.bounds is not None:
-        return False
-    speeds = log.states["speed_mps"].drop_nulls()
-    speeds = speeds.filter(speeds.is_finite())
-    return bool(len(speeds)) and float(speeds.abs().max()) > config.slow_mps  # type: ignore[arg-type]
-
-
-def first_unit_s(log: Log, config: WindowConfig) -> float:
-    """Length of the time unit that is tried first [s]; a window of calm traffic may have a longer one."""
-    if config.unit_s != "auto":
-        return config.unit_s
-    return TRAFFIC_UNITS_S[0] if is_traffic(log, config) else SCENE_UNIT_S
-
-
-def build_scenario(
-    log: Log, config: Config, span: tuple[int, int, int], unit_s: float | None = None
-) -> Scenario:
-    """Build the scenario of one window, a span as of `window_spans`.
+def build_scenario(part: LogPart, config: Config, unit_s: float | None = None) -> Scenario:
+    """Build the scenario of one window.
 
     With `unit_s` unset the time unit is the configured one, in traffic the calm one where the
     recording has no conflict at it.
     """
-    traffic = is_traffic(log, config.window)
     if unit_s is None:
-        unit_s = first_unit_s(log, config.window)
-        if traffic and config.window.unit_s == "auto" and span[1] >= seconds_to_ns(CALM_UNIT_S):
-            calm = _Builder.of(log, config, span, CALM_UNIT_S, traffic)
+        unit_s = first_unit_s(config.window, traffic=part.traffic)
+        long_enough = part.span[1] >= seconds_to_ns(CALM_UNIT_S)
+        if part.traffic and config.window.unit_s == "auto" and long_enough:
+            calm = _Builder.of(part, config, CALM_UNIT_S)
             if calm.calm():
                 return calm.scenario()
-    return _Builder.of(log, config, span, unit_s, traffic).scenario()
+    return _Builder.of(part, config, unit_s).scenario()
 
 
 @dataclass(slots=True)
 class _Builder:
     """A window while its scenario is being built; tracks in the frame of `window`."""
 
-    log: Log
+    part: LogPart
     config: Config
     window: Window
-    traffic: bool
     present: list[str]
     states: dict[tuple[object, ...], pl.DataFrame]
-    parked: frozenset[str]
     usable: dict[str, UsableTrack] = field(default_factory=dict)
     excluded: dict[str, Exclusion] = field(default_factory=dict)
 
     @classmethod
-    def of(
-        cls, log: Log, config: Config, span: tuple[int, int, int], unit_s: float, traffic: bool
-    ) -> _Builder:
+    def of(cls, part: LogPart, config: Config, unit_s: float) -> _Builder:
         """Sort the road users of a window and choose its frame."""
-        start_ns, length_ns, index = span
+        start_ns, length_ns, index = part.span
         units = length_ns // seconds_to_ns(unit_s)
         end_ns = start_ns + units * seconds_to_ns(unit_s)
-        present, states = _around(log.states, start_ns, end_ns)
+        inside = part.states.filter(pl.col("time_ns").is_between(start_ns, end_ns))
+        present = sorted(inside["vehicle_id"].unique().to_list(), key=_natural)
+        states = part.states.filter(pl.col("vehicle_id").is_in(present))
         window = Window(index, start_ns, end_ns, unit_s, int(units), _local_frame(states))
         tracks = states.partition_by("vehicle_id", as_dict=True, maintain_order=True)
-        parked = _parked(log.states, present, config.window) if traffic else frozenset()
-        builder = cls(log, config, window, traffic, sorted(present, key=_natural), tracks, parked)
+        builder = cls(part, config, window, present, tracks)
         builder.sort()
-        if config.window.frame == "road" or (config.window.frame == "auto" and traffic):
+        if config.window.frame == "road" or (config.window.frame == "auto" and part.traffic):
             builder.turn(road_yaw(builder.bodies(), window.units, unit_s))
         return builder
 
@@ -194,7 +101,9 @@ class _Builder:
         """Tell who can be planned from who cannot, and why."""
         for vehicle_id in self.present:
             track = self.states[(vehicle_id,)]
-            found = usable_track(track, vehicle_id, self.window, self.config.window, traffic=self.traffic)
+            found = usable_track(
+                track, vehicle_id, self.window, self.config.window, traffic=self.part.traffic
+            )
             own = self.config.vehicles.by_id.get(vehicle_id)
             reason = ""
             if isinstance(found, Exclusion):
@@ -204,7 +113,7 @@ class _Builder:
                 reason, detail = "not_a_vehicle", f"{track['role'][0]}: an obstacle that moves as recorded"
             elif own is not None and not own.cooperative:
                 reason, detail = "uncooperative", "marked so: an obstacle that moves as recorded"
-            elif vehicle_id in self.parked:
+            elif vehicle_id in self.part.parked:
                 reason, detail = "parked", "never moves: a standing obstacle"
             if reason:
                 self.excluded[vehicle_id] = Exclusion(vehicle_id, reason, detail)
@@ -231,7 +140,7 @@ class _Builder:
 
     def size(self, vehicle_id: str) -> tuple[Dimensions, str]:
         """Dimensions of a road user, and where they come from."""
-        vehicles = self.log.scene.vehicles
+        vehicles = self.part.scene.vehicles
         info = next((v for v in vehicles if v.vehicle_id == vehicle_id), VehicleInfo(vehicle_id))
         return vehicle_dimensions(self.states[(vehicle_id,)], info, self.config.vehicles)
 
@@ -244,19 +153,19 @@ class _Builder:
             window=window,
             participants=participants,
             obstacles=(
-                *(_standing_obstacle(o, window) for o in self.log.scene.obstacles),
+                *(_standing_obstacle(o, window) for o in self.part.scene.obstacles),
                 *(obstacle for obstacle in moving if obstacle is not None),
             ),
-            bounds_m=_bounds(self.log.scene.bounds, window.frame),
+            bounds_m=_bounds(self.part.scene.bounds, window.frame),
             excluded=tuple(self.excluded.values()),
             vehicles_present=len(self.present),
-            traffic=self.traffic,
+            traffic=self.part.traffic,
         )
 
     def obstacle(self, vehicle_id: str) -> Obstacle | None:
         """What a road user sweeps as recorded while it is not planned; None where nothing is known."""
         exclusion, usable = self.excluded.get(vehicle_id), self.usable.get(vehicle_id)
-        if not (self.traffic or (exclusion is not None and exclusion.reason in AS_RECORDED)):
+        if not (self.part.traffic or (exclusion is not None and exclusion.reason in AS_RECORDED)):
             return None
         known = known_states(self.states[(vehicle_id,)])
         if known.is_empty():
@@ -271,7 +180,7 @@ class _Builder:
 
     def participant(self, vehicle_id: str) -> Participant:
         """A vehicle to plan."""
-        usable, scene, config = self.usable[vehicle_id], self.log.scene, self.config.vehicles
+        usable, scene, config = self.usable[vehicle_id], self.part.scene, self.config.vehicles
         info = next((v for v in scene.vehicles if v.vehicle_id == vehicle_id), VehicleInfo(vehicle_id))
         dimensions, source = self.size(vehicle_id)
         own = config.by_id.get(vehicle_id)
@@ -291,30 +200,10 @@ class _Builder:
         )
 
 
-def _parked(states: pl.DataFrame, present: list[str], config: WindowConfig) -> frozenset[str]:
-    """Vehicles that never move in the whole log; one that stands in a queue moves at another time."""
-    x, y = pl.col("x_m"), pl.col("y_m")
-    moved = (
-        states.filter(pl.col("vehicle_id").is_in(present))
-        .group_by("vehicle_id")
-        .agg(((x.max() - x.min()) ** 2 + (y.max() - y.min()) ** 2).sqrt().alias("moved_m"))
-    )
-    return frozenset(moved.filter(pl.col("moved_m") < config.parked_m)["vehicle_id"].to_list())
-
-
 def _recorded_box(track: pl.DataFrame) -> tuple[float, float]:
     """Length and width of a road user that is no vehicle, 1 m where they are not recorded."""
     length, width = track["length_m"].drop_nulls(), track["width_m"].drop_nulls()
     return float(length[0]) if len(length) else 1.0, float(width[0]) if len(width) else 1.0
-
-
-def _around(states: pl.DataFrame, start_ns: int, end_ns: int) -> tuple[list[str], pl.DataFrame]:
-    """Vehicles with a state in the span, and their states in it and just outside, to interpolate from."""
-    time_ns = pl.col("time_ns")
-    present = states.filter(time_ns.is_between(start_ns, end_ns))["vehicle_id"].unique().to_list()
-    margin = seconds_to_ns(_MARGIN_S)
-    near = states.filter(time_ns.is_between(start_ns - margin, end_ns + margin))
-    return present, near.filter(pl.col("vehicle_id").is_in(present))
 
 
 def _natural(vehicle_id: str) -> tuple[int, str]:

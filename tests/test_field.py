@@ -10,14 +10,15 @@ import polars as pl
 import pytest
 
 from istc_replay.config import Config
-from istc_replay.coordinate import Planners, plan_span, plan_window
+from istc_replay.coordinate import Planners, plan_part, plan_window
 from istc_replay.datatypes import Log, StaticScene, Trajectory, WindowPlan, WindowStatus
 from istc_replay.field import lateral_excursion_m, least_cover, prepare
 from istc_replay.pipeline.replay import Replay, replay_read
 from istc_replay.road_frame import Body, conflicts, heading_slack, road_yaw
-from istc_replay.scenario import build_scenario, build_scenarios, settled_config, window_spans
+from istc_replay.scenario import build_scenario, build_scenarios
 from istc_replay.states import STATES_SCHEMA, conform
 from istc_replay.trajectories.repair import RecordingRepairer
+from istc_replay.windows import LogPart, log_parts, settled_config
 
 FAST = Config.model_validate({"corridors": {"mode": "fast"}})
 
@@ -65,10 +66,15 @@ def turned(log: Log, angle_rad: float, shift_m: tuple[float, float]) -> Log:
     return replace(log, states=states)
 
 
+def first_part(log: Log, config: Config) -> LogPart:
+    """The part of the log's first window."""
+    return next(log_parts(log, config))
+
+
 def planned(log: Log, config: Config = FAST) -> WindowPlan:
     """The plan of the log's first window."""
     settled = settled_config(log, config)
-    return plan_span(log, settled, window_spans(log, settled)[0], Planners(settled))
+    return plan_part(first_part(log, settled), settled, Planners(settled))
 
 
 def replayed(log: Log, config: Config = FAST) -> tuple[Replay, dict[str, Any]]:
@@ -218,7 +224,7 @@ def test_roles_and_minimal_data_decide_who_is_planned() -> None:
         rare,
     )
     config = Config.model_validate({"vehicles": {"by_id": {"2": {"cooperative": False}}}})
-    scenario = build_scenario(log, config, window_spans(log, config)[0], 0.5)
+    scenario = build_scenario(first_part(log, config), config, 0.5)
     assert [p.vehicle_id for p in scenario.participants] == ["1"]
     assert {e.vehicle_id: e.reason for e in scenario.excluded} == {
         "2": "uncooperative",
@@ -247,7 +253,7 @@ def test_a_noisy_recording_is_repaired_to_a_drivable_one() -> None:
     noise = np.random.default_rng(4).normal(0.0, 0.05, (2, 41))
     straight = driver("1")
     log = log_of(straight.with_columns(x_m=pl.col("x_m") + noise[0], y_m=pl.col("y_m") + noise[1]))
-    scenario = build_scenario(log, Config(), window_spans(log, Config())[0], 0.5)
+    scenario = build_scenario(first_part(log, Config()), Config(), 0.5)
     limits = settled_config(log, Config()).trajectories
     motion, record = RecordingRepairer(limits).repair(scenario.participants[0], 0.5, 20.0)
     assert motion is not None
@@ -300,7 +306,7 @@ def test_constant_speed_remains_a_choice_for_traffic() -> None:
 def test_preparation_keeps_neighbours_narrow() -> None:
     log = log_of(driver("1"), driver("2", 2.2), driver("3", 12.0))
     config = settled_config(log, Config())
-    scenario = build_scenario(log, config, window_spans(log, config)[0], 0.5)
+    scenario = build_scenario(first_part(log, config), config, 0.5)
     ready = prepare(scenario, config, RecordingRepairer(config.trajectories), 20.0)
     slack = {g.vehicle_id: np.degrees(np.asarray(g.slack_rad)) for g in ready.guidance}
     assert slack["1"].max() == pytest.approx(1.5, abs=0.05)
@@ -310,7 +316,7 @@ def test_preparation_keeps_neighbours_narrow() -> None:
 def test_who_enters_within_a_unit_is_an_obstacle_until_it_is_planned() -> None:
     late = driver("2", 4.0).filter(pl.col("time_ns") >= 700_000_000)
     log = log_of(driver("1"), late)
-    scenario = build_scenario(log, Config(), window_spans(log, Config())[0], 0.5)
+    scenario = build_scenario(first_part(log, Config()), Config(), 0.5)
     assert [(p.vehicle_id, p.first_unit) for p in scenario.participants] == [("1", 0), ("2", 2)]
     boxes = {o.obstacle_id: o.boxes_m for o in scenario.obstacles}
     assert set(boxes) == {"2"}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, TypeVar
 
@@ -35,11 +36,12 @@ def chosen_formats(formats: str, known: Sequence[_Format]) -> list[_Format]:
 
 
 class Progress:
-    """One line on a terminal's stderr that tells what is being done; silent elsewhere."""
+    """One line on a terminal's stderr that tells what is being done, and how fast; silent elsewhere."""
 
     def __init__(self, name: str) -> None:
         self._name = tell.line(name)
         self._shown = sys.stderr.isatty()
+        self._first: tuple[float, int] | None = None
 
     def __enter__(self) -> Progress:
         return self
@@ -51,4 +53,16 @@ class Progress:
     def __call__(self, what: str, done: int, total: int) -> None:
         if self._shown:
             share = f" window {min(done + 1, total)} of {total}:" if total > 1 else ""
-            click.echo(f"\r\x1b[K{self._name}:{share} {what}", nl=False, err=True)
+            click.echo(f"\r\x1b[K{self._name}:{share} {what}{self._rate(done, total)}", nl=False, err=True)
+
+    def _rate(self, done: int, total: int) -> str:
+        """Windows a minute since the first that was planned here, and how long the rest will take."""
+        if total <= 1:
+            return ""
+        if self._first is None:
+            self._first = time.monotonic(), done
+        since, before = self._first
+        if done <= before or done >= total:
+            return ""
+        seconds = (time.monotonic() - since) / (done - before)
+        return f", {60.0 / seconds:.3g} windows/min, {seconds * (total - done):.0f} s left"

@@ -18,12 +18,17 @@ from istc_replay.errors import IstcReplayError
 @click.option(
     "-o", "--output", type=FILE, default=Path("results"), show_default=True, help="Folder of the results."
 )
+@click.option(
+    "--jobs", type=click.IntRange(1, 256), default=1, show_default=True, help="Windows planned at once."
+)
 @click.option("--view", is_flag=True, help="Open the view when done.")
-def run(logs: tuple[Path, ...], config_path: Path | None, output: Path, view: bool) -> int:
+def run(logs: tuple[Path, ...], config_path: Path | None, output: Path, jobs: int, view: bool) -> int:
     """Replay LOGS: per log result.mcap, view.rrd, report.html and summary.json.
 
     \b
     Example:  istc-replay run sample_logs/intersection_turn_first.mcap -o results
+
+    A long log is planned window by window; a run that was stopped goes on where it was.
     """
     from istc_replay.config import load_config
     from istc_replay.pipeline.replay import result_folders, run_log
@@ -34,7 +39,7 @@ def run(logs: tuple[Path, ...], config_path: Path | None, output: Path, view: bo
     for path, folder in folders.items():
         with Progress(path.name) as progress:
             try:
-                done = run_log(path, folder, config, progress)
+                done = run_log(path, folder, config, progress, jobs)
             except IstcReplayError as error:
                 # Of many logs, one that fails does not stop the others.
                 if len(folders) == 1:

@@ -36,6 +36,8 @@ def result_bytes(
     summary: Mapping[str, Any],
     config_toml: str,
     provenance: Mapping[str, str],
+    *,
+    shown: bool = True,
 ) -> bytes:
     """Write a result as one MCAP file, in memory.
 
@@ -57,6 +59,8 @@ def result_bytes(
         The configuration in force, attached as config.toml.
     provenance : mapping of str to str
         The metadata record `istc.provenance`.
+    shown : bool
+        Whether to add the messages that Foxglove shows; none of the tables is made of them.
 
     Raises
     ------
@@ -67,7 +71,7 @@ def result_bytes(
         If config_toml is not a configuration.
     """
     config = parse_config(config_toml)
-    stamped = _encoded(_all_messages(log, plans, certificates, config))
+    stamped = _encoded(_all_messages(log, plans, certificates, config, shown=shown))
     attached = _json(repeatable_summary(summary))
     stream = io.BytesIO()
     writer = Writer(stream, compression=CompressionType.ZSTD, enable_crcs=True)
@@ -97,7 +101,12 @@ def solve_times(plans: Sequence[WindowPlan]) -> list[dict[str, Any]]:
 
 
 def _all_messages(
-    log: Log, plans: Sequence[WindowPlan], certificates: Sequence[Certificate], config: Config
+    log: Log,
+    plans: Sequence[WindowPlan],
+    certificates: Sequence[Certificate],
+    config: Config,
+    *,
+    shown: bool,
 ) -> Iterator[Stamped]:
     starts = {plan.scenario.window.index: plan.scenario.window.start_ns for plan in plans}
     yield first_ns(log, plans), "/istc/static", scene_message(log.scene)
@@ -108,7 +117,8 @@ def _all_messages(
         if certificate.window not in starts:
             raise ExportError(f"certificate of window {certificate.window}: there is no plan of that window")
         yield certificate_message(certificate, starts[certificate.window])
-    yield from foxglove_messages(log, plans, config.vehicles)
+    if shown:
+        yield from foxglove_messages(log, plans, config.vehicles)
 
 
 def _encoded(stamped: Iterator[Stamped]) -> list[tuple[int, str, Any, bytes]]:

@@ -15,20 +15,23 @@ from istc_replay.units import NS_PER_S
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from istc_replay.datatypes import Certificate, Log, Participant, Scenario, Trajectory, WindowPlan
-    from istc_replay.safety.recorded import RecordedGap
+    from istc_replay.datatypes import (
+        Certificate,
+        Log,
+        Participant,
+        RecordedGap,
+        Scenario,
+        Trajectory,
+        WindowOutcome,
+        WindowPlan,
+    )
 
 #: A vehicle that ends its recording standing has arrived where its plan ends this near.
 ARRIVED_M = 1.0
 
 
 def summarise(
-    log: Log,
-    plans: Sequence[WindowPlan],
-    certificates: Sequence[Certificate],
-    recorded: Mapping[int, RecordedGap | None],
-    versions: Mapping[str, str],
-    config_sha256: str,
+    log: Log, outcomes: Sequence[WindowOutcome], versions: Mapping[str, str], config_sha256: str
 ) -> dict[str, Any]:
     """Sum up a replay; wall-clock figures of the whole run are added by the caller.
 
@@ -36,21 +39,14 @@ def summarise(
     ----------
     log : Log
         The input.
-    plans : sequence of WindowPlan
+    outcomes : sequence of WindowOutcome
         One a window.
-    certificates : sequence of Certificate
-        Of all windows.
-    recorded : mapping
-        Least gap as recorded, by window.
     versions : mapping
         Version by component.
     config_sha256 : str
         Hash of the configuration in force.
     """
-    windows = [
-        _window(plan, [c for c in certificates if c.window == plan.scenario.window.index], recorded)
-        for plan in plans
-    ]
+    windows = [_window(outcome) for outcome in outcomes]
     return {
         "schema": SUMMARY_SCHEMA,
         "input": {
@@ -84,9 +80,8 @@ def _totals(log: Log, windows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     }
 
 
-def _window(
-    plan: WindowPlan, certificates: Sequence[Certificate], recorded: Mapping[int, RecordedGap | None]
-) -> dict[str, Any]:
+def _window(outcome: WindowOutcome) -> dict[str, Any]:
+    plan, certificates = outcome.plan, outcome.certificates
     scenario, window, corridors = plan.scenario, plan.scenario.window, plan.corridors
     certified = plan.status in (WindowStatus.CERTIFIED, WindowStatus.PARTIAL)
     reasons = [e.reason for e in scenario.excluded]
@@ -125,7 +120,7 @@ def _window(
         },
         "trajectories": {"seconds": plan.seconds.get("trajectories", 0.0)},
         "certificate": _certificate(certificates),
-        "recorded": _recorded(recorded.get(window.index), window.start_ns),
+        "recorded": _recorded(outcome.recorded, window.start_ns),
         "vehicles": _vehicles(scenario, plan),
     }
 

@@ -8,22 +8,22 @@ import os
 import platform
 import time
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from istc_replay.config import Config, render_config
-from istc_replay.datatypes import Verdict, WindowStatus
+from istc_replay.datatypes import WindowStatus
 from istc_replay.errors import ExportError, UsageError
+from istc_replay.pipeline.windows import plan_windows, silent
+from istc_replay.pipeline.work_folder import WorkFolder
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
-    import polars as pl
-
-    from istc_replay.datatypes import Certificate, Log, Result, WindowPlan
+    from istc_replay.datatypes import Log, Result, WindowOutcome
 
 _COMPONENTS = ("istc-replay", "casadi", "cbcbox", "daqp", "mcap", "numpy", "polars", "pyomo", "rerun-sdk")
 
@@ -62,15 +62,13 @@ class Replay:
         return 0 if complete and WindowStatus.CERTIFIED in statuses else 3
 
 
-def _silent(_stage: str, _done: int, _total: int) -> None:
-    """Report no progress."""
-
-
 def replay_log(
     path: Path,
     config: Config | None = None,
     *,
-    progress: Callable[[str, int, int], None] = _silent,
+    jobs: int = 1,
+    output: Path | None = None,
+    progress: Callable[[str, int, int], None] = silent,
     stages: Stages | None = None,
 ) -> Replay:
     """Replay one log, in memory.
@@ -81,6 +79,10 @@ def replay_log(
         An MCAP log.
     config : Config, optional
         Settings; the defaults otherwise.
+    jobs : int
+        Parallel processes; the result is the same for any number.
+    output : Path, optional
+        A folder in which finished windows are kept until the run is done.
     progress : callable
         Told what is being done, the windows done and their number.
     stages : Stages, optional
@@ -105,7 +107,7 @@ def replay_log(
     progress("reading", 0, 1)
     with timing.stage("ingest"):
         log = read_log(path, settings)
-    done = replay_read(log, settings, progress=progress, stages=timing)
+    done = replay_read(log, settings, jobs=jobs, output=output, progress=progress, stages=timing)
     done.summary["totals"]["cpu_s"] = _cpu_s() - cpu_began
     return done
 
@@ -114,120 +116,70 @@ def replay_read(
     log: Log,
     config: Config,
     *,
-    progress: Callable[[str, int, int], None] = _silent,
+    jobs: int = 1,
+    output: Path | None = None,
+    progress: Callable[[str, int, int], None] = silent,
     stages: Stages | None = None,
 ) -> Replay:
     """Replay a log that has been read; arguments and errors as of `replay_log`."""
-    from istc_replay.scenario import settled_config
+    from istc_replay.windows import settled_config
 
     timing = stages or Stages()
-    config = settled_config(log, config)
-    plans = _plans(log, config, timing, progress)
-    progress("certifying", len(plans), len(plans))
-    done = _certify(log, plans, config, timing)
-    done.summary["stages"] = timing.seconds
+    work = None
+    if output is not None:
+        toml = render_config(settled_config(log, config))
+        work = WorkFolder(output, log.sha256, toml, versions())
+    outcomes = plan_windows(log, config, jobs=jobs, work=work, progress=progress)
+    progress("writing", len(outcomes), len(outcomes))
+    done = assemble(log, config, outcomes, timing)
+    if work is not None:
+        work.remove()
     return done
 
 
-def _plans(
-    log: Log, config: Config, timing: Stages, progress: Callable[[str, int, int], None]
-) -> list[WindowPlan]:
-    from istc_replay.coordinate import Planners, plan_span
-    from istc_replay.scenario import check_states, window_spans
+def assemble(
+    log: Log, config: Config, outcomes: Sequence[WindowOutcome], stages: Stages | None = None
+) -> Replay:
+    """Join the outcomes of all windows, wherever they were made, to the replay of the log.
 
-    with timing.stage("scenario"):
-        check_states(log)
-        spans = window_spans(log, config)
-    planners = Planners(config)
-    plans = []
-    for done, span in enumerate(spans):
-
-        def told(what: str, done: int = done) -> None:
-            progress(what, done, len(spans))
-
-        began = time.perf_counter()
-        plan = plan_span(log, config, span, planners, told)
-        spent = time.perf_counter() - began
-        for name, seconds in {**plan.seconds, "scenario": spent - sum(plan.seconds.values())}.items():
-            timing.seconds[name] = timing.seconds.get(name, 0.0) + seconds
-        plans.append(plan)
-    return plans
-
-
-def _certify(log: Log, plans: Sequence[WindowPlan], config: Config, timing: Stages) -> Replay:
-    """Write the plans, certify what the written result says, and write it again with the verdict."""
+    Parameters
+    ----------
+    log, config
+        As they were for `windows.plan_windows`.
+    outcomes : sequence of WindowOutcome
+        In order of their windows.
+    stages : Stages, optional
+        Collects the time of each stage.
+    """
     from istc_replay.export.result_mcap import result_bytes, solve_times
     from istc_replay.export.summary import summarise
     from istc_replay.ingest.result import read_result
-    from istc_replay.safety.certificate import certify, overall
-    from istc_replay.safety.recorded import least_recorded_gap
+    from istc_replay.windows import settled_config
 
-    toml = render_config(config)
+    timing = stages or Stages()
+    toml = render_config(settled_config(log, config))
     config_sha256 = hashlib.sha256(toml.encode()).hexdigest()
     provenance = {**versions(), "input_sha256": log.sha256, "config_sha256": config_sha256}
-    sized = _sized(log.states, plans)
-    gaps = {
-        w.index: least_recorded_gap(sized, w.start_ns, w.end_ns)
-        for w in (plan.scenario.window for plan in plans)
-    }
-
-    def written(
-        plans: Sequence[WindowPlan], certificates: Sequence[Certificate]
-    ) -> tuple[bytes, dict[str, Any]]:
-        summary = summarise(log, plans, certificates, gaps, versions(), config_sha256)
-        return result_bytes(log, plans, certificates, summary, toml, provenance), summary
-
-    with timing.stage("result_mcap"):
-        hoped = [replace(p, status=WindowStatus.CERTIFIED) if p.trajectories else p for p in plans]
-        draft = read_result(written(hoped, ())[0])
-    with timing.stage("certificate"):
-        certificates = certify(draft, config)
-    judged = []
+    plans = [outcome.plan for outcome in outcomes]
+    certificates = [certificate for outcome in outcomes for certificate in outcome.certificates]
     for plan in plans:
-        own = [c for c in certificates if c.window == plan.scenario.window.index]
-        judged.append(_judged(plan, own, overall(own) if own else Verdict.NOT_APPLICABLE))
+        for name, seconds in plan.seconds.items():
+            timing.seconds[name] = timing.seconds.get(name, 0.0) + seconds
     with timing.stage("result_mcap"):
-        data, summary = written(judged, certificates)
+        summary = summarise(log, outcomes, versions(), config_sha256)
+        data = result_bytes(log, plans, certificates, summary, toml, provenance)
         result = read_result(data)
-    summary["solves"] = solve_times(judged)
+    summary["solves"] = solve_times(plans)
+    summary["stages"] = timing.seconds
     return Replay(result, data, summary)
-
-
-def _sized(states: pl.DataFrame, plans: Sequence[WindowPlan]) -> pl.DataFrame:
-    """Recorded states with the sizes that the plans took for vehicles whose log tells none."""
-    import polars as pl
-
-    sizes = {p.vehicle_id: p.dimensions for plan in plans for p in plan.scenario.participants}
-    return states.with_columns(
-        pl.col(name).fill_null(
-            pl.col("vehicle_id").replace_strict(
-                {vehicle: getattr(size, name) for vehicle, size in sizes.items()},
-                default=None,
-                return_dtype=pl.Float64,
-            )
-        )
-        for name in ("length_m", "width_m")
-    )
-
-
-def _judged(plan: WindowPlan, certificates: Sequence[Certificate], verdict: Verdict) -> WindowPlan:
-    if plan.status is not WindowStatus.NOT_CERTIFIED:
-        return plan
-    if verdict is Verdict.PASS:
-        if plan.frozen:
-            stay = "; ".join(f"{e.vehicle_id}: {e.detail}" for e in plan.frozen)
-            return replace(plan, status=WindowStatus.PARTIAL, reason=f"as recorded stay {stay}")
-        return replace(plan, status=WindowStatus.CERTIFIED)
-    faults = [c for c in certificates if c.verdict in (Verdict.FAIL, Verdict.INCONCLUSIVE)]
-    reason = "; ".join(f"{c.check} {c.verdict}: {c.detail}" for c in faults) or "nothing was certified"
-    return replace(plan, reason=reason)
 
 
 def run_log(
     path: Path,
     folder: Path,
     config: Config,
-    progress: Callable[[str, int, int], None] = _silent,
+    progress: Callable[[str, int, int], None] = silent,
+    jobs: int = 1,
 ) -> Replay:
     """Replay one log and write result.mcap, view.rrd, report.html and summary.json to a folder.
 
@@ -243,7 +195,7 @@ def run_log(
         from istc_replay.export.rerun_view import write_view
 
     prepare_folder(folder)
-    done = replay_log(path, config, progress=progress, stages=stages)
+    done = replay_log(path, config, jobs=jobs, output=folder, progress=progress, stages=stages)
     windows = len(done.summary["windows"])
     progress("writing", windows, windows)
     with stages.stage("write_mcap"), atomic_file(folder / "result.mcap") as file:

@@ -8,7 +8,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from istc_replay.datatypes import FloatArray
+from istc_replay.datatypes import FloatArray, RecordedGap
 from istc_replay.safety.boxes import box_gap
 from istc_replay.units import NS_PER_S, wrap_angle
 
@@ -19,15 +19,6 @@ _GAP_PERIODS = 3
 #: Common times are no closer than this, and no more than this many.
 _LEAST_SPACING_NS = 1_000_000
 _MOST_TIMES = 50_000
-
-
-@dataclass(frozen=True, slots=True)
-class RecordedGap:
-    """The least gap of two recorded boxes (negative: they overlap), whose, and when."""
-
-    min_separation_m: float
-    pair: tuple[str, str]
-    time_ns: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)

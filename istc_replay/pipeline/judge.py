@@ -1,0 +1,76 @@
+"""Judging a window: its plan goes to bytes, is read back, and only what these say is certified."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from istc_replay.datatypes import Log, Verdict, WindowOutcome, WindowStatus
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    import polars as pl
+
+    from istc_replay.config import Config
+    from istc_replay.datatypes import Certificate, WindowPlan
+    from istc_replay.windows import LogPart
+
+
+def judged(plan: WindowPlan, part: LogPart, config: Config) -> WindowOutcome:
+    """Certify one window's plan from the bytes of a result that holds it, and tell what was recorded."""
+    from istc_replay.safety.recorded import least_recorded_gap
+
+    window = plan.scenario.window
+    gap = least_recorded_gap(_sized(part.states, plan), window.start_ns, window.end_ns)
+    if not plan.trajectories:
+        return WindowOutcome(plan, (), gap)
+    certificates = _certified(plan, part, config)
+    return WindowOutcome(_with_verdict(plan, certificates), certificates, gap)
+
+
+def _certified(plan: WindowPlan, part: LogPart, config: Config) -> tuple[Certificate, ...]:
+    from istc_replay.config import render_config
+    from istc_replay.export.result_mcap import result_bytes
+    from istc_replay.export.summary import summarise
+    from istc_replay.ingest.result import read_result
+    from istc_replay.safety.certificate import certify
+
+    log = Log("", "", True, 0, 0, 0, 0, None, None, (), part.states, part.scene, ())
+    hoped = replace(plan, status=WindowStatus.CERTIFIED)
+    summary = summarise(log, [WindowOutcome(hoped)], {}, "")
+    written = result_bytes(log, [hoped], (), summary, render_config(config), {}, shown=False)
+    return certify(read_result(written), config)
+
+
+def _sized(states: pl.DataFrame, plan: WindowPlan) -> pl.DataFrame:
+    """Recorded states with the sizes that the plan took for vehicles whose log tells none."""
+    import polars as pl
+
+    sizes = {p.vehicle_id: p.dimensions for p in plan.scenario.participants}
+    return states.with_columns(
+        pl.col(name).fill_null(
+            pl.col("vehicle_id").replace_strict(
+                {vehicle: getattr(size, name) for vehicle, size in sizes.items()},
+                default=None,
+                return_dtype=pl.Float64,
+            )
+        )
+        for name in ("length_m", "width_m")
+    )
+
+
+def _with_verdict(plan: WindowPlan, certificates: Sequence[Certificate]) -> WindowPlan:
+    from istc_replay.safety.certificate import overall
+
+    if plan.status is not WindowStatus.NOT_CERTIFIED:
+        return plan
+    verdict = overall(certificates) if certificates else Verdict.NOT_APPLICABLE
+    if verdict is Verdict.PASS:
+        if plan.frozen:
+            stay = "; ".join(f"{e.vehicle_id}: {e.detail}" for e in plan.frozen)
+            return replace(plan, status=WindowStatus.PARTIAL, reason=f"as recorded stay {stay}")
+        return replace(plan, status=WindowStatus.CERTIFIED)
+    faults = [c for c in certificates if c.verdict in (Verdict.FAIL, Verdict.INCONCLUSIVE)]
+    reason = "; ".join(f"{c.check} {c.verdict}: {c.detail}" for c in faults) or "nothing was certified"
+    return replace(plan, reason=reason)

@@ -1,0 +1,167 @@
+"""Planning the windows of a log, one after the other or in parallel processes."""
+
+from __future__ import annotations
+
+import os
+import threading
+from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from typing import TYPE_CHECKING
+
+from istc_replay.errors import SolveError
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Iterator
+    from concurrent.futures import Future
+
+    from istc_replay.config import Config
+    from istc_replay.coordinate import Planners
+    from istc_replay.datatypes import Log, WindowOutcome
+    from istc_replay.pipeline.work_folder import WorkFolder
+    from istc_replay.windows import LogPart
+
+#: Windows handed to each process ahead of its work; more would only take memory.
+_AHEAD = 2
+
+
+def silent(_stage: str, _done: int, _total: int) -> None:
+    """Report no progress."""
+
+
+def plan_windows(
+    log: Log,
+    config: Config,
+    indices: Iterable[int] | None = None,
+    *,
+    jobs: int = 1,
+    work: WorkFolder | None = None,
+    progress: Callable[[str, int, int], None] = silent,
+) -> list[WindowOutcome]:
+    """Plan and certify windows of a log; each follows from its part of the log and the settings alone.
+
+    Any cut of the windows into calls, jobs or machines gives the same outcomes: `assemble` joins
+    them. `work_folder.packed` makes bytes of an outcome.
+
+    Parameters
+    ----------
+    log : Log
+        What was read.
+    config : Config
+        The settings.
+    indices : iterable of int, optional
+        Windows wanted, by index (`windows.window_spans` lists them); all otherwise.
+    jobs : int
+        Parallel processes.
+    work : WorkFolder, optional
+        Keeps every window that is done, and gives those that an earlier run has done.
+    progress : callable
+        Told what is being done, the windows done and their number.
+
+    Raises
+    ------
+    ScenarioError
+        If the log has no vehicle, or is shorter than one time unit.
+    SolveError
+        If a solver is missing, or a process dies.
+    """
+    from istc_replay.windows import log_parts, settled_config, window_spans
+
+    config = settled_config(log, config)
+    wanted = [span[2] for span in window_spans(log, config)] if indices is None else list(indices)
+    found: dict[int, WindowOutcome] = {}
+    if work is not None:
+        stored = ((index, work.load(index)) for index in wanted)
+        found = {index: outcome for index, outcome in stored if outcome is not None}
+    parts = log_parts(log, config, [index for index in wanted if index not in found])
+
+    def told(what: str) -> None:
+        progress(what, len(found), len(wanted))
+
+    told("corridors")
+    left = len(wanted) - len(found)
+    solved = _in_turn(parts, config, told) if min(jobs, left) <= 1 else _apart(parts, config, min(jobs, left))
+    for outcome in solved:
+        found[outcome.plan.scenario.window.index] = outcome
+        if work is not None and len(wanted) > 1:
+            work.save(outcome)
+        told("corridors")
+    return [found[index] for index in wanted]
+
+
+def _in_turn(
+    parts: Iterable[LogPart], config: Config, told: Callable[[str], None]
+) -> Iterator[WindowOutcome]:
+    from istc_replay.coordinate import Planners
+
+    planners = Planners(config)
+    for part in parts:
+        yield _outcome(part, config, planners, told)
+
+
+def _outcome(part: LogPart, config: Config, planners: Planners, told: Callable[[str], None]) -> WindowOutcome:
+    from istc_replay.coordinate import plan_part
+    from istc_replay.pipeline.judge import judged
+
+    plan = plan_part(part, config, planners, told)
+    told("certifying")
+    return judged(plan, part, config)
+
+
+# --- parallel processes ----------------------------------------------------------------------
+
+
+def _apart(parts: Iterable[LogPart], config: Config, jobs: int) -> Iterator[WindowOutcome]:
+    """Outcomes as they come; at most a few parts are cut ahead of the work."""
+    import multiprocessing
+
+    # A fresh process each: a fork would take locks of running threads along.
+    context = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(jobs, mp_context=context, initializer=_begin, initargs=(config,))
+    waiting: set[Future[WindowOutcome]] = set()
+    try:
+        for part in parts:
+            waiting.add(pool.submit(_solve, part))
+            if len(waiting) >= jobs * _AHEAD:
+                done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+                yield from (future.result() for future in done)
+        while waiting:
+            done, waiting = wait(waiting, return_when=FIRST_COMPLETED)
+            yield from (future.result() for future in done)
+    except BrokenProcessPool:
+        raise SolveError(
+            "a process that planned windows died, for want of memory perhaps; "
+            "run again to go on from the windows that are done, with fewer --jobs"
+        ) from None
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+_of_process: tuple[Config, Planners] | None = None
+
+
+def _begin(config: Config) -> None:
+    """Prepare a process: its solvers, and its end when the process that started it is gone."""
+    import signal
+
+    from istc_replay.coordinate import Planners
+
+    global _of_process
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    threading.Thread(target=_end_with_parent, daemon=True).start()
+    _of_process = config, Planners(config)
+
+
+def _end_with_parent() -> None:
+    import multiprocessing
+
+    parent = multiprocessing.parent_process()
+    if parent is not None:
+        parent.join()
+        os._exit(1)
+
+
+def _solve(part: LogPart) -> WindowOutcome:
+    if _of_process is None:
+        raise SolveError("a process that plans windows was not prepared")
+    config, planners = _of_process
+    return _outcome(part, config, planners, lambda _: None)

@@ -1,0 +1,176 @@
+"""A log cut into windows: the spans, and for each the part of the log that its plan follows from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+import polars as pl
+
+from istc_replay.datatypes import Log, StaticScene
+from istc_replay.errors import ScenarioError
+from istc_replay.units import NS_PER_S, seconds_to_ns
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Iterator
+
+    from istc_replay.config import Config, WindowConfig
+
+#: Time units by rule: of a scene, of traffic from coarse to fine, of traffic without any conflict.
+SCENE_UNIT_S, TRAFFIC_UNITS_S, CALM_UNIT_S = 1.0, (0.5, 0.25), 1.0
+#: Limits and weights of layer 2 in traffic, where the configuration does not set them.
+TRAFFIC_LIMITS = {
+    "acceleration_max_mps2": 3.5,
+    "deceleration_max_mps2": 6.0,
+    "pivotal_x_weight": 20.0,
+    "pivotal_y_weight": 20.0,
+    "steering_rate_weight": 5.0,
+}
+#: States this far outside a window still tell the state at its ends.
+_MARGIN_S = 1.0
+#: No log is cut into more windows than this.
+_MOST_WINDOWS = 1_000_000
+
+#: Start [ns], length [ns] and index of a window.
+Span = tuple[int, int, int]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LogPart:
+    """Everything of a log that one window's plan follows from, besides the configuration.
+
+    `states` are those in the window and just outside, in the log's order. `traffic` and `parked`
+    tell what only the whole log knows: by which rules it is planned, and who never moves in it.
+    """
+
+    span: Span
+    states: pl.DataFrame
+    scene: StaticScene
+    traffic: bool
+    parked: frozenset[str]
+
+
+def check_states(log: Log) -> None:
+    """Refuse a log without vehicles.
+
+    Raises
+    ------
+    ScenarioError
+        If it has none.
+    """
+    if log.states.is_empty():
+        understood = ", ".join(sorted({c.schema for c in log.channels if c.schema})) or "none"
+        raise ScenarioError(
+            f"{log.path}: no vehicle states; schemas in the log: {understood}; "
+            "see docs/formats.md for what is read, or name the topic in [ingest.topics]"
+        )
+
+
+def is_traffic(log: Log, config: WindowConfig) -> bool:
+    """Whether a log is recorded traffic: nothing of a scene is told, and someone is fast."""
+    if config.rules != "auto":
+        return config.rules == "traffic"
+    scene = log.scene
+    if scene.lane_lines or scene.obstacles or scene.vehicles or scene.bounds is not None:
+        return False
+    speeds = log.states["speed_mps"].drop_nulls()
+    speeds = speeds.filter(speeds.is_finite())
+    return bool(len(speeds)) and float(speeds.abs().max()) > config.slow_mps  # type: ignore[arg-type]
+
+
+def settled_config(log: Log, config: Config) -> Config:
+    """The settings in force: in traffic, layer 2 may brake and speed up as recorded traffic does.
+
+    It also keeps closer to its pivotal points, which lie on the road where nothing needs to change.
+    Settings that are in force stay as they are.
+    """
+    limits = config.trajectories
+    if not is_traffic(log, config.window):
+        return config
+    free = {name: value for name, value in TRAFFIC_LIMITS.items() if name not in limits.model_fields_set}
+    return config.model_copy(update={"trajectories": limits.model_copy(update=free)})
+
+
+def first_unit_s(config: WindowConfig, *, traffic: bool) -> float:
+    """Length of the time unit that is tried first [s]; a window of calm traffic may have a longer one."""
+    if config.unit_s != "auto":
+        return config.unit_s
+    return TRAFFIC_UNITS_S[0] if traffic else SCENE_UNIT_S
+
+
+def window_spans(log: Log, config: Config) -> list[Span]:
+    """Start [ns], length [ns] and index of every window of a log.
+
+    Raises
+    ------
+    ScenarioError
+        If the log has no vehicle, is shorter than one time unit, or would be cut into too many windows.
+    """
+    check_states(log)
+    window, traffic = config.window, is_traffic(log, config.window)
+    unit_ns = seconds_to_ns(first_unit_s(window, traffic=traffic))
+    firsts = log.states.group_by("vehicle_id").agg(pl.col("time_ns").min())["time_ns"].to_numpy()
+    # Vehicles are sampled in turn: start when all that are there at the start have been seen.
+    start = int(firsts[firsts - firsts.min() < unit_ns // 2].max())
+    end = int(log.states["time_ns"].max())  # type: ignore[arg-type]
+    span = end - start
+    if span < unit_ns:
+        raise ScenarioError(
+            f"{log.path}: {span / NS_PER_S:.3f} s of states, less than one time unit of "
+            f"{unit_ns / NS_PER_S:g} s; set window.unit_s lower"
+        )
+    if span <= seconds_to_ns(window.horizon_s if traffic else window.whole_log_s):
+        return [(start, span, 0)]
+    horizon, stride = seconds_to_ns(window.horizon_s), seconds_to_ns(window.stride_s)
+    if span // max(stride, 1) > _MOST_WINDOWS:
+        raise ScenarioError(
+            f"{log.path}: {span / NS_PER_S:g} s in strides of {window.stride_s:g} s are more than "
+            f"{_MOST_WINDOWS} windows; set window.stride_s higher, or clip the log"
+        )
+    offsets = range(0, span, stride)
+    spans = ((start + offset, min(horizon, span - offset), index) for index, offset in enumerate(offsets))
+    return [whole for whole in spans if whole[1] >= unit_ns]
+
+
+def log_parts(log: Log, config: Config, indices: Iterable[int] | None = None) -> Iterator[LogPart]:
+    """Cut a log into the parts of its windows, one after the other; the cost follows the log's length.
+
+    Parameters
+    ----------
+    log, config
+        What was read, and the settings.
+    indices : iterable of int, optional
+        Windows wanted, by index; all otherwise.
+
+    Raises
+    ------
+    ScenarioError
+        As of `window_spans`, and if there is no window of an index.
+    """
+    spans = {span[2]: span for span in window_spans(log, config)}
+    wanted = list(spans) if indices is None else list(indices)
+    missing = [index for index in wanted if index not in spans]
+    if missing:
+        raise ScenarioError(f"{log.path}: there is no window {missing[0]}; it has {len(spans)}, from 0 on")
+    traffic = is_traffic(log, config.window)
+    parked = _parked(log.states, config.window) if traffic else frozenset()
+    # By time, so that a window is a slice; `place` is the log's own order.
+    ordered = log.states.with_row_index("_place").sort("time_ns", maintain_order=True)
+    times = ordered["time_ns"].to_numpy()
+    margin = seconds_to_ns(_MARGIN_S)
+    for index in wanted:
+        start_ns, length_ns, _ = spans[index]
+        first = int(np.searchsorted(times, start_ns - margin, side="left"))
+        end = int(np.searchsorted(times, start_ns + length_ns + margin, side="right"))
+        states = ordered.slice(first, end - first).sort("_place").drop("_place")
+        yield LogPart(spans[index], states, log.scene, traffic, parked)
+
+
+def _parked(states: pl.DataFrame, config: WindowConfig) -> frozenset[str]:
+    """Vehicles that never move in the whole log; one that stands in a queue moves at another time."""
+    x, y = pl.col("x_m"), pl.col("y_m")
+    moved = states.group_by("vehicle_id").agg(
+        ((x.max() - x.min()) ** 2 + (y.max() - y.min()) ** 2).sqrt().alias("moved_m")
+    )
+    return frozenset(moved.filter(pl.col("moved_m") < config.parked_m)["vehicle_id"].to_list())
