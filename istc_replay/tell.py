@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from istc_replay.datatypes import Certificate, Log
+    from istc_replay.pipeline.copying import Copied
 
 _LINE_LIMIT = 2000
 
@@ -136,6 +137,19 @@ def info_lines(facts: Mapping[str, Any]) -> Iterator[str]:
     for problem in facts["problems"]:
         where = "" if problem["offset"] is None else f" at byte {problem['offset']}"
         yield f"problem: {line(problem['code'])}{where}: {line(problem['detail'])}"
+
+
+def copied_lines(copied: Copied) -> Iterator[str]:
+    """Tell what a copy holds, and what of its inputs was lost."""
+    yield (
+        f"{line(copied.path)}: {copied.messages} messages on {copied.channels} channels, "
+        f"{copied.attachments} attachments, {copied.metadata} metadata records"
+    )
+    for note in copied.notes:
+        yield f"  {line(note)}"
+    for name, problem in copied.problems:
+        where = "" if problem.offset is None else f" at byte {problem.offset}"
+        yield f"  {line(name)}: {line(problem.code)}{where}: {line(problem.detail)}"
 
 
 def table_lines(rows: Sequence[Sequence[str]]) -> Iterator[str]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from pathlib import Path
 
 import numpy as np
 import polars as pl
@@ -200,6 +201,15 @@ def _obstacles() -> tuple[Obstacle, ...]:
         Obstacle("block", read_only(block, 4), read_only(outline, 2)),
         Obstacle("walker", read_only(walker, 4)),
     )
+
+
+@pytest.fixture(scope="session")
+def shared_logs() -> Path:
+    """The reference logs beside the repository."""
+    folder = Path(__file__).resolve().parents[1] / "../shared/logs"
+    if not folder.is_dir():
+        pytest.skip("the shared reference logs are not beside this repository")
+    return folder
 
 
 @pytest.fixture(scope="session")

@@ -14,10 +14,13 @@ import click
 from istc_replay import __version__, tell
 from istc_replay.cli.audit import audit
 from istc_replay.cli.bench import bench
+from istc_replay.cli.clip import clip
 from istc_replay.cli.config import config
 from istc_replay.cli.export import export
 from istc_replay.cli.figures import figures
 from istc_replay.cli.info import info
+from istc_replay.cli.merge import merge
+from istc_replay.cli.recover import recover
 from istc_replay.cli.run import run
 from istc_replay.cli.sample import sample
 from istc_replay.cli.view import view
@@ -73,5 +76,5 @@ def cli() -> None:
     """
 
 
-for _command in (run, info, audit, view, figures, export, sample, bench, config):
+for _command in (run, info, audit, view, figures, export, clip, merge, recover, sample, bench, config):
     cli.add_command(_command)

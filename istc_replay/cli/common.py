@@ -14,6 +14,9 @@ from istc_replay import tell
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
+#: Characters of a bar, and the least time between two pictures of it [s].
+_BAR, _REDRAW_S = 30, 0.1
+
 FILE = click.Path(path_type=Path)
 _Format = TypeVar("_Format", bound=str)
 
@@ -42,6 +45,7 @@ class Progress:
         self._name = tell.line(name)
         self._shown = sys.stderr.isatty()
         self._first: tuple[float, int] | None = None
+        self._began = self._last = time.monotonic()
 
     def __enter__(self) -> Progress:
         return self
@@ -66,3 +70,16 @@ class Progress:
             return ""
         seconds = (time.monotonic() - since) / (done - before)
         return f", {60.0 / seconds:.3g} windows/min, {seconds * (total - done):.0f} s left"
+
+    def bytes(self, done: int, total: int) -> None:
+        """Show how much of a file is read, and how fast; called as often as one likes."""
+        now = time.monotonic()
+        if not self._shown or now - self._last < _REDRAW_S or not total:
+            return
+        self._last = now
+        filled = round(_BAR * done / total)
+        bar = "#" * filled + "." * (_BAR - filled)
+        rate = done / 2**20 / max(now - self._began, 1e-3)
+        left_s = (total - done) / max(done, 1) * (now - self._began)
+        text = f"{self._name}: [{bar}] {done / total:4.0%} {rate:.0f} MiB/s, {left_s:.0f} s left"
+        click.echo(f"\r\x1b[K{text}", nl=False, err=True)

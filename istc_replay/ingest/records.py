@@ -242,6 +242,19 @@ def parse_statistics(fields: Fields) -> Statistics:
     return Statistics(messages, fields.uint(4), fields.uint(4), fields.uint(4))
 
 
+def profile_of(buffer: Buffer) -> str:
+    """Return the profile that a file's header states; empty where it states none or is damaged."""
+    start = len(MAGIC) + RECORD.size
+    if len(buffer) < start:
+        return ""
+    opcode, length = RECORD.unpack(buffer[len(MAGIC) : start])
+    try:
+        fields = Fields(buffer, start, min(start + length, len(buffer)))
+        return fields.string() if opcode == Opcode.HEADER else ""
+    except MalformedRecordError:
+        return ""
+
+
 def parse_place(fields: Fields, skip: int) -> tuple[int, int]:
     """Parse where an indexed record starts and how long it is, head included; skip bytes before."""
     fields.skip(skip)

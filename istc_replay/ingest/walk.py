@@ -8,13 +8,11 @@ it lends channels whose declarations are lost, and places where the walk can go 
 from __future__ import annotations
 
 import hashlib
-import mmap
 from bisect import bisect_right
-from collections.abc import Callable, Generator, Iterator
+from collections.abc import Generator, Iterator
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from istc_replay.datatypes import Problem
 from istc_replay.errors import LogError
@@ -38,15 +36,16 @@ from istc_replay.ingest.records import (
     Metadata,
     Opcode,
     parse_chunk,
+    profile_of,
 )
+from istc_replay.ingest.source import map_file, other_format
 from istc_replay.ingest.summary import Summary, read_summary
+from istc_replay.ingest.tally import Tally, Wanted
 
 #: Messages outside of chunks that make one batch [records, bytes].
 _BATCH_RECORDS = 16_384
 _BATCH_BYTES = 16 * 2**20
 _COLUMNS = ("channel", "sequence", "log_time", "publish_time")
-
-Wanted = Callable[[Channel], bool]
 
 
 def open_log(source: Path | bytes) -> LogFile:
@@ -59,23 +58,7 @@ def open_log(source: Path | bytes) -> LogFile:
     """
     if isinstance(source, bytes):
         return LogFile(source, "<bytes>")
-    return LogFile(_map(source), str(source))
-
-
-def _map(path: Path) -> Buffer:
-    try:
-        if not path.exists():
-            raise LogError(f"{path}: no such file; give the path of an MCAP log")
-        if not path.is_file():
-            # Pipes and devices may never end.
-            raise LogError(f"{path}: not a regular file; give the path of an MCAP log")
-        with path.open("rb") as file:
-            if path.stat().st_size == 0:
-                return b""
-            return mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
-    except (OSError, ValueError) as error:
-        reason = getattr(error, "strerror", None) or str(error)
-        raise LogError(f"{path}: cannot be read: {reason}") from None
+    return LogFile(map_file(source), str(source))
 
 
 class LogFile:
@@ -87,12 +70,10 @@ class LogFile:
         The path, or `<bytes>`.
     size : int
         Bytes of the file.
-    counts : dict[Channel, int]
-        Every channel met, and the number of its messages, wanted or not.
-    message_count, chunk_count : int
-        Whole records met.
-    start_ns, end_ns : int or None
-        The span of the messages' log times that fit int64.
+    chunk_count : int
+        Whole chunk records met.
+    position : int
+        The byte up to which the walk has come.
     """
 
     def __init__(self, buffer: Buffer, name: str) -> None:
@@ -102,22 +83,47 @@ class LogFile:
         self._ends_well = self.size > len(MAGIC) and buffer[self.size - len(MAGIC) : self.size] == MAGIC
         head = buffer[: len(MAGIC)]
         if head != MAGIC and not self._ends_well:
-            what = f"it begins with {head!r}, not {MAGIC!r}" if self.size else "it is empty"
-            raise LogError(f"{name}: not an MCAP log: {what}; give an MCAP file")
+            raise LogError(f"{name}: not an MCAP log: {other_format(buffer[:32])}")
         self._reset()
 
     def _reset(self, wants: Wanted | None = None) -> None:
-        self._wants = wants
-        self.counts: dict[Channel, int] = {}
-        self.start_ns: int | None = None
-        self.end_ns: int | None = None
-        self.message_count = self.chunk_count = 0
+        self.position = self.chunk_count = 0
         self._problems = Problems()
+        self._tally = Tally(self._problems, wants)
         self._extras = Extras(self._buffer, self._problems)
         self._summary = Summary()
         self._inflater = Inflater(self.size, self._problems)
-        self._wanted: dict[Channel, bool] = {}
         self._definitions = Definitions(self._problems, self._summary)
+
+    @property
+    def profile(self) -> str:
+        """The profile that the header states."""
+        return profile_of(self._buffer)
+
+    @property
+    def message_count(self) -> int:
+        """Whole messages met."""
+        return self._tally.messages
+
+    @property
+    def counts(self) -> dict[Channel, int]:
+        """Every channel met, and the number of its messages, wanted or not."""
+        return self._tally.counts
+
+    @property
+    def spans(self) -> dict[Channel, tuple[int, int]]:
+        """The first and last log time of every channel that has messages [ns], unsigned."""
+        return self._tally.spans
+
+    @property
+    def start_ns(self) -> int | None:
+        """The first log time that fits int64 [ns]; None without messages."""
+        return self._tally.start_ns
+
+    @property
+    def end_ns(self) -> int | None:
+        """The last log time that fits int64 [ns]."""
+        return self._tally.end_ns
 
     @property
     def attachment_count(self) -> int:
@@ -184,8 +190,7 @@ class LogFile:
         begin: int | None = 0
         while begin is not None:
             begin = yield from self._segment(begin)
-            for channel in self._definitions.channels.values():
-                self.counts.setdefault(channel, 0)
+            self._tally.declared(self._definitions.channels)
             # A file joined to the end of another has its own channels.
             self._definitions = Definitions(self._problems, Summary())
         self._extras.compare(self.message_count, self.chunk_count)
@@ -220,6 +225,7 @@ class LogFile:
                 position = self._next_anchor(position)
                 continue
             opcode, start, end = head
+            self.position = end
             if opcode == Opcode.CHUNK:
                 yield from self._chunk(start, end, position)
             elif opcode == Opcode.FOOTER and self._ends_at(end):
@@ -322,45 +328,17 @@ class LogFile:
             if not len(positions):
                 return
         head = heads(data, positions)
-        self.message_count += len(head)
-        self._span(head["log_time"])
         offsets = positions if offset is None else np.full(len(positions), offset, np.int64)
-        channels = self._count(head["channel"], offsets)
-        ids = head["channel"]
-        if len(channels) < len(np.unique(ids)):
-            given = np.isin(ids, list(channels))
+        declared = self._definitions.channels
+        channels, all_ = self._tally.count(head["channel"], head["log_time"], offsets, declared)
+        if not all_:
+            given = np.isin(head["channel"], list(channels))
             head, positions, offsets, lengths = head[given], positions[given], offsets[given], lengths[given]
         if len(head):
             starts = positions + RECORD.size + MESSAGE.size
             ends = positions + RECORD.size + lengths.astype(np.int64)
             ids, sequences, log_ns, publish_ns = (head[name] for name in _COLUMNS)
             yield Batch(buffer, channels, ids, sequences, log_ns, publish_ns, starts, ends, offsets)
-
-    def _span(self, log_times_ns: NDArray[np.uint64]) -> None:
-        known = log_times_ns[log_times_ns < 2**63]
-        if len(known):
-            first, last = int(known.min()), int(known.max())
-            self.start_ns = first if self.start_ns is None else min(self.start_ns, first)
-            self.end_ns = last if self.end_ns is None else max(self.end_ns, last)
-
-    def _count(self, ids: NDArray[np.uint16], offsets: NDArray[np.int64]) -> dict[int, Channel]:
-        """Count messages by channel; returns the wanted channels among them."""
-        found, counts = np.unique(ids, return_counts=True)
-        channels: dict[int, Channel] = {}
-        for channel_id, count in zip(found.tolist(), counts.tolist(), strict=True):
-            channel = self._definitions.channels.get(channel_id)
-            if channel is None:
-                detail = f"a message of channel {channel_id}, which is not declared"
-                for offset in offsets[ids == channel_id].tolist():
-                    self._problems.lose("unknown_channel", detail, offset)
-                continue
-            self.counts[channel] = self.counts.get(channel, 0) + count
-            wanted = self._wanted.get(channel)
-            if wanted is None:
-                wanted = self._wanted[channel] = self._wants is None or self._wants(channel)
-            if wanted:
-                channels[channel_id] = channel
-        return channels
 
     # --- records that are not messages ---------------------------------------------------------
 

@@ -29,15 +29,6 @@ class Topic:
 
 
 @pytest.fixture(scope="session")
-def shared_logs() -> Path:
-    """The reference logs beside the repository."""
-    folder = Path(__file__).resolve().parents[2] / "../shared/logs"
-    if not folder.is_dir():
-        pytest.skip("the shared reference logs are not beside this repository")
-    return folder
-
-
-@pytest.fixture(scope="session")
 def topic() -> type[Topic]:
     """The class of the topics that `write_log` takes."""
     return Topic

@@ -133,6 +133,23 @@ def test_every_bad_file_gives_what_is_intact_and_says_what_is_not(shared_logs: P
             assert (len(messages), log.complete, codes(log)) == BAD[path.name], path.name
 
 
+@pytest.mark.parametrize(
+    ("head", "told"),
+    [
+        (b"version https://git-lfs.github.com/spec/v1", "git lfs pull"),
+        (b"#ROSBAG V2.0\n", "mcap convert"),
+        (b"SQLite format 3\0", "ros2 bag convert"),
+        (b"\x1f\x8b\x08", "gunzip"),
+        (b"PAR1", "istc-replay convert"),
+        (b"<?xml version", "istc-replay convert"),
+        (b"RRF2", "rerun"),
+    ],
+)
+def test_other_formats_are_named_with_what_to_do(head: bytes, told: str) -> None:
+    with pytest.raises(LogError, match=told):
+        open_log(head + bytes(100))
+
+
 def test_nothing_to_read_is_told_in_one_line(tmp_path: Path) -> None:
     fifo = tmp_path / "pipe.mcap"
     os.mkfifo(fifo)
