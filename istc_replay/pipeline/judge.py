@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -21,12 +22,12 @@ def judged(plan: WindowPlan, part: LogPart, config: Config) -> WindowOutcome:
     """Certify one window's plan from the bytes of a result that holds it, and tell what was recorded."""
     from istc_replay.safety.recorded import least_recorded_gap
 
+    began = time.perf_counter()
     window = plan.scenario.window
     gap = least_recorded_gap(_sized(part.states, plan), window.start_ns, window.end_ns)
-    if not plan.trajectories:
-        return WindowOutcome(plan, (), gap)
-    certificates = _certified(plan, part, config)
-    return WindowOutcome(_with_verdict(plan, certificates), certificates, gap)
+    certificates = _certified(plan, part, config) if plan.trajectories else ()
+    seconds = {**plan.seconds, "certificate": time.perf_counter() - began}
+    return WindowOutcome(replace(_with_verdict(plan, certificates), seconds=seconds), certificates, gap)
 
 
 def _certified(plan: WindowPlan, part: LogPart, config: Config) -> tuple[Certificate, ...]:
