@@ -6,7 +6,8 @@ optima is the optimum of all.
 
 *Tree.* A node enforces options; its QP bounds everything below it. The tree plunges: from the best
 open node it follows the best child down to a solution, so that one is found after about as many
-nodes as there are conflicts; the open nodes then prove it, or find a better one.
+nodes as there are conflicts; the open nodes then prove it, or find a better one. A child whose
+violation alone makes it dearer than a sibling stays unsolved until its turn comes.
 
 *Neighbourhoods.* Where that does not end soon, one vehicle, then pairs, give up their options and
 choose anew.
@@ -17,17 +18,16 @@ from __future__ import annotations
 import heapq
 from dataclasses import dataclass, field
 from itertools import combinations, count
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from istc_replay.corridors.pivot_qp import Choices, PivotQp, PivotSolution
-from istc_replay.corridors.problem import OptionTable
+from istc_replay.corridors.pivot_qp import Choice, Choices, PivotQp, PivotSolution
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-    from istc_replay.corridors.problem import CorridorProblem, Disjunction, IntArray
+    from istc_replay.corridors.problem import CorridorProblem, IntArray, Separations
     from istc_replay.datatypes import FloatArray
 
 #: A conflict smaller than this is closed by rounding, not by branching.
@@ -42,7 +42,11 @@ _NO_WAY_OUT_M = 100.0
 _TREE_SHARE = 0.25
 _NEIGHBOURHOOD_NODES = {1: 60, 2: 120}
 
-Group = frozenset[str]
+#: Numbers of vehicles.
+Group = frozenset[int]
+
+#: A node passed by: its bound, a solution, and an option yet to be enforced on it.
+_Passed = tuple[float, PivotSolution, Choice | None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,15 +54,25 @@ class TreeOutcome:
     """What the trees found: z with least cubes, or None; and how many nodes it took.
 
     `exhausted` tells that everything was searched: z is the optimum of the pivotal points, or
-    where it is None there is none. `open_conflict` is the disjunction that stayed open, and
-    `groups` the vehicles that had to be planned together.
+    where it is None there is none. `bound` is a lower bound of eq. (3). `open_conflict` is the
+    separation that stayed open, and `groups` the vehicles that had to be planned together.
     """
 
     z: FloatArray | None
     nodes: int
     exhausted: bool
-    open_conflict: Disjunction | None = None
+    bound: float = 0.0
+    open_conflict: int | None = None
     groups: tuple[tuple[str, ...], ...] = ()
+
+
+class _Open(NamedTuple):
+    """An open node: a lower bound, a number that breaks ties, and an option yet to be enforced."""
+
+    bound: float
+    order: int
+    solution: PivotSolution
+    choice: Choice | None
 
 
 def search(problem: CorridorProblem, node_budget: int) -> TreeOutcome:
@@ -71,67 +85,75 @@ def search(problem: CorridorProblem, node_budget: int) -> TreeOutcome:
     node_budget : int
         Largest number of QPs.
     """
-    order = [block.vehicle_id for block in problem.blocks]
+    qp = PivotQp(problem)
     solved: dict[Group, _Tree] = {}
-    groups = [frozenset([vehicle]) for vehicle in order]
+    groups = [frozenset([vehicle]) for vehicle in range(len(problem.blocks))]
     nodes = 0
     while True:
         for group in groups:
             if group in solved:
                 continue
-            tree = _Tree(problem, group, node_budget - nodes, _inherited(solved, group))
+            tree = _Tree(problem, qp, group, node_budget - nodes, _inherited(solved, group))
             tree.run()
             nodes += tree.nodes
             if tree.best is None:
-                named = tuple(vehicle for vehicle in order if vehicle in group)
-                return TreeOutcome(None, nodes, tree.exhausted, tree.open_conflict, (named,))
+                failed = (_names(problem, group),)
+                return TreeOutcome(None, nodes, tree.exhausted, 0.0, tree.open_conflict, failed)
             solved[group] = tree
-        z = _union(problem, [solved[group] for group in groups])
+        z = _union(qp, problem, [solved[group] for group in groups])
         merged = _merged(problem, z, groups)
         if len(merged) == len(groups):
             break
         groups = merged
-    exhausted = all(solved[group].exhausted for group in groups)
-    named_groups = tuple(tuple(v for v in order if v in group) for group in groups)
-    return TreeOutcome(problem.least_cubes(z), nodes, exhausted, None, named_groups)
+    trees = [solved[group] for group in groups]
+    return TreeOutcome(
+        problem.least_cubes(z),
+        nodes,
+        all(tree.exhausted for tree in trees),
+        sum(tree.bound for tree in trees),
+        None,
+        tuple(_names(problem, group) for group in groups),
+    )
 
 
 def refine(problem: CorridorProblem, choices: Choices, node_budget: int) -> FloatArray | None:
     """Improve on given options by neighbourhoods; z with least cubes, None where they hold no more."""
-    vehicles = frozenset(block.vehicle_id for block in problem.blocks)
-    tree = _Tree(problem, vehicles, node_budget, choices)
+    qp = PivotQp(problem)
+    tree = _Tree(problem, qp, frozenset(range(len(problem.blocks))), node_budget, choices)
     tree.run_below_guess()
-    return None if tree.best is None else problem.least_cubes(tree.best.z)
+    return None if tree.best is None else problem.least_cubes(qp.z(tree.best))
+
+
+def _names(problem: CorridorProblem, group: Group) -> tuple[str, ...]:
+    return tuple(problem.blocks[vehicle].vehicle_id for vehicle in sorted(group))
 
 
 def _inherited(solved: dict[Group, _Tree], group: Group) -> Choices:
     """Options that the parts of a group had chosen: a first guess of its own."""
-    latest: dict[str, _Tree] = {
+    latest: dict[int, _Tree] = {
         vehicle: tree for part, tree in solved.items() if part <= group for vehicle in part
     }
     trees = {id(tree): tree for tree in latest.values()}
-    return tuple(choice for tree in trees.values() for choice in tree.best_choices)
+    return tuple(choice for tree in trees.values() if tree.best is not None for choice in tree.best.choices)
 
 
-def _union(problem: CorridorProblem, trees: list[_Tree]) -> FloatArray:
+def _union(qp: PivotQp, problem: CorridorProblem, trees: list[_Tree]) -> FloatArray:
     z = np.zeros(problem.size)
     for tree in trees:
         if tree.best is not None:
-            z += tree.best.z  # each has its own vehicles' entries alone
+            z += qp.z(tree.best)  # each has its own vehicles' entries alone
     return z
 
 
 def _merged(problem: CorridorProblem, z: FloatArray, groups: list[Group]) -> list[Group]:
     """Merge groups between which z has a conflict."""
     of = {vehicle: group for group in groups for vehicle in group}
-    slack = OptionTable.of(problem.disjunctions).slack(problem.least_cubes(z)).max(axis=1, initial=-np.inf)
-    for disjunction, best in zip(problem.disjunctions, slack, strict=True):
-        if (
-            best < -CONFLICT_M
-            and disjunction.second in of
-            and of[disjunction.first] != of[disjunction.second]
-        ):
-            union = of[disjunction.first] | of[disjunction.second]
+    table = problem.separations
+    slack = table.slack(problem.least_cubes(z)).max(axis=1, initial=-np.inf)
+    for d in np.flatnonzero((slack < -CONFLICT_M) & ~table.obstacle):
+        first, second = of[int(table.first[d])], of[int(table.second[d])]
+        if first != second:
+            union = first | second
             of |= dict.fromkeys(union, union)
     return list(dict.fromkeys(of.values()))
 
@@ -141,30 +163,27 @@ class _Tree:
     """The conflict tree of one group."""
 
     problem: CorridorProblem
+    qp: PivotQp
     group: Group
     budget: int
     guess: Choices
     nodes: int = 0
     exhausted: bool = False
     best: PivotSolution | None = None
-    best_choices: Choices = ()
-    open_conflict: Disjunction | None = None
+    bound: float = 0.0
+    open_conflict: int | None = None
     earliest_first: bool = False
-    _qp: PivotQp = field(init=False)
-    _unit: IntArray = field(init=False)
-    _own: list[int] = field(init=False)
-    _table: OptionTable = field(init=False)
+    _members: tuple[int, ...] = field(init=False)
+    _own: IntArray = field(init=False)
+    _table: Separations = field(init=False)
 
     def __post_init__(self) -> None:
-        disjunctions = self.problem.disjunctions
-        self._own = [
-            d
-            for d, item in enumerate(disjunctions)
-            if item.first in self.group and (item.equation == "eq. (6)" or item.second in self.group)
-        ]
-        self._qp = PivotQp(self.problem, tuple(self.group))
-        self._table = OptionTable.of([disjunctions[d] for d in self._own])
-        self._unit = np.array([disjunctions[d].unit for d in self._own], dtype=np.int64)
+        table = self.problem.separations
+        self._members = tuple(sorted(self.group))
+        mine = np.isin(table.first, self._members)
+        mine &= table.obstacle | np.isin(table.second, self._members)
+        self._own = np.flatnonzero(mine)
+        self._table = table.taken(self._own)
 
     def run(self) -> None:
         """Search within the budget: below the guess, the whole tree, then neighbourhoods."""
@@ -196,52 +215,81 @@ class _Tree:
         Returns whether nothing below `root` is left to search.
         """
         end = min(self.budget, self.nodes + limit)
-        start = self._solve(root, None)
-        if start is None or start.cost >= self.cutoff:
-            return True
-        order = count()
-        queue: list[tuple[float, int, Choices, PivotSolution]] = [(start.cost, next(order), root, start)]
-        while queue:
-            if self.nodes >= end:
-                return False
-            cost, _, choices, node = heapq.heappop(queue)
-            if cost >= self.cutoff:
-                return True
-            for sibling, at in self._dive(choices, node):
-                heapq.heappush(queue, (sibling.cost, next(order), at, sibling))
-            if first_only and self.best is not None:
-                return False
-        return True
+        self.nodes += 1
+        start = self.qp.root(self._members, root, self.cutoff)
+        queue = [] if start is None else [_Open(start.cost, 0, start, None)]
+        order = count(1)
+        while queue and queue[0].bound < self.cutoff:
+            if self.nodes >= end or (first_only and self.best is not None):
+                break
+            for bound, solution, choice in self._expanded(heapq.heappop(queue)):
+                heapq.heappush(queue, _Open(bound, next(order), solution, choice))
+        done = not queue or queue[0].bound >= self.cutoff
+        if not root:
+            self.bound = max(self.bound, self.cutoff if done else queue[0].bound)
+        return done
 
-    def _dive(self, choices: Choices, node: PivotSolution) -> Iterator[tuple[PivotSolution, Choices]]:
+    def _expanded(self, node: _Open) -> Iterator[_Passed]:
+        """Enforce the option that is due, or follow the best child down; gives what stays open."""
+        if node.choice is None:
+            yield from self._dive(node.solution)
+            return
+        child = self._solve(node.solution, node.choice)
+        if child is not None:
+            yield child.cost, child, None
+
+    def _dive(self, node: PivotSolution) -> Iterator[_Passed]:
         """Follow the best child down to a solution or a dead end; gives the children passed by."""
         while True:
-            conflict = self._worst_conflict(node.z)
+            slack = self._slack(node)
+            conflict = self._worst_conflict(slack)
             if conflict is None:
-                self.best, self.best_choices = node, choices
+                self.best = node
                 return
-            self.open_conflict = self.problem.disjunctions[conflict]
-            children = self._children(choices, node, conflict)
-            if not children:
+            self.open_conflict = int(self._own[conflict])
+            child, passed = self._children(node, self.open_conflict, slack[conflict])
+            yield from passed
+            if child is None:
                 return
-            yield from ((child, at) for _, child, at in children[1:])
             if self.nodes >= self.budget:
-                yield children[0][1:]
+                yield child.cost, child, None
                 return
-            _, node, choices = children[0]
+            node = child
 
     def _children(
-        self, choices: Choices, node: PivotSolution, conflict: int
-    ) -> list[tuple[float, PivotSolution, Choices]]:
-        children = []
-        for option in range(len(self.problem.disjunctions[conflict].options)):
-            at = (*choices, (conflict, option))
-            child = self._solve(at, node.multipliers)
-            if child is not None and child.cost < self.cutoff:
-                overlap = np.maximum(-self._slack(child.z).max(axis=1), 0.0).sum()
-                children.append((child.cost + _OVERLAP_COST * float(overlap), child, at))
-        children.sort(key=lambda entry: entry[0])
-        return children
+        self, node: PivotSolution, conflict: int, slack: FloatArray
+    ) -> tuple[PivotSolution | None, list[_Passed]]:
+        """Give the best child of a conflict, and the others: those that cannot be better unsolved."""
+        best: PivotSolution | None = None
+        least = np.inf
+        passed: list[_Passed] = []
+        options = [
+            (node.cost + self.qp.price(conflict, o) * float(slack[o]) ** 2, o)
+            for o in range(4)
+            if np.isfinite(slack[o])
+        ]
+        for bound, option in sorted(options):
+            if bound >= min(least, self.cutoff):
+                passed.append((bound, node, (conflict, option)))
+                continue
+            child = self._solve(node, (conflict, option))
+            if child is None:
+                continue
+            overlap = np.maximum(-self._slack(child).max(axis=1), 0.0).sum()
+            score = child.cost + _OVERLAP_COST * float(overlap)
+            if score < least:
+                if best is not None:
+                    passed.append((best.cost, best, None))
+                best, least = child, score
+            else:
+                passed.append((child.cost, child, None))
+        return best, passed
+
+    def _solve(self, node: PivotSolution, choice: Choice) -> PivotSolution | None:
+        """Solve with one more option; None where that is infeasible or not worth anything."""
+        self.nodes += 1
+        child = self.qp.with_option(node, choice, self.cutoff)
+        return None if child is None or child.cost >= self.cutoff else child
 
     def _improve(self) -> None:
         """Neighbourhoods of the best solution, costliest first, until none gives a better one."""
@@ -249,11 +297,11 @@ class _Tree:
             tried: set[Group] = set()
             while self.nodes < self.budget:
                 part = self._costliest_part(size, tried)
-                if part is None:
+                if part is None or self.best is None:
                     break
                 before = self.best
                 for self.earliest_first in (False, True):
-                    kept = tuple(c for c in self.best_choices if not self._concerns(c[0], part))
+                    kept = tuple(c for c in self.best.choices if not self._concerns(c[0], part))
                     self.plunge(kept, nodes)
                 if self.best is not before:
                     tried = {other for other in tried if not other & part}
@@ -262,36 +310,34 @@ class _Tree:
     def _costliest_part(self, size: int, tried: set[Group]) -> Group | None:
         if self.best is None:
             return None
-        z, problem, costs = self.best.z, self.problem, {}
-        for block in problem.blocks:
-            if block.vehicle_id in self.group:
-                index = block.pivot[1:].ravel()
-                away = z[index] - problem.reference[index]
-                costs[block.vehicle_id] = float(problem.quadratic[index] @ away**2)
+        z, problem, costs = self.qp.z(self.best), self.problem, {}
+        for vehicle in self._members:
+            index = problem.blocks[vehicle].pivot[1:].ravel()
+            away = z[index] - problem.reference[index]
+            costs[vehicle] = float(problem.quadratic[index] @ away**2)
         parts = [part for part in combinations(costs, size) if frozenset(part) not in tried]
         return max(map(frozenset, parts), key=lambda part: sum(costs[v] for v in part), default=None)
 
-    def _concerns(self, disjunction: int, part: Group) -> bool:
-        pair = self.problem.disjunctions[disjunction]
-        return pair.first in part or (pair.equation == "eq. (5)" and pair.second in part)
+    def _concerns(self, separation: int, part: Group) -> bool:
+        table = self.problem.separations
+        if int(table.first[separation]) in part:
+            return True
+        return not table.obstacle[separation] and int(table.second[separation]) in part
 
-    def _solve(self, choices: Choices, multipliers: FloatArray | None) -> PivotSolution | None:
-        self.nodes += 1
-        return self._qp.solve(choices, multipliers)
+    def _slack(self, node: PivotSolution) -> FloatArray:
+        """How far the options of the group's separations hold (D, 4)."""
+        return self._table.slack(self.problem.least_cubes(self.qp.z(node)))
 
-    def _slack(self, z: FloatArray) -> FloatArray:
-        return self._table.slack(self.problem.least_cubes(z))
-
-    def _worst_conflict(self, z: FloatArray) -> int | None:
+    def _worst_conflict(self, slack: FloatArray) -> int | None:
         """Branch where the overlap is largest and a second way out is far, or in the earliest unit."""
-        if not self._own:
+        if not len(slack):
             return None
-        ordered = np.sort(self._slack(z), axis=1)[:, ::-1]
+        ordered = np.sort(slack, axis=1)[:, ::-1]
         overlap = -ordered[:, 0]
         if overlap.max() <= CONFLICT_M:
             return None
         second = np.where(np.isfinite(ordered[:, 1]), -ordered[:, 1], _NO_WAY_OUT_M)
         open_ = overlap > CONFLICT_M
         if self.earliest_first:
-            open_ &= self._unit == self._unit[open_].min()
-        return self._own[int(np.argmax(np.where(open_, overlap + second / 2.0, -np.inf)))]
+            open_ &= self._table.unit == self._table.unit[open_].min()
+        return int(np.argmax(np.where(open_, overlap + second / 2.0, -np.inf)))

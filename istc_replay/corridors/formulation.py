@@ -13,30 +13,19 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from istc_replay.corridors.problem import (
-    CONSTANT,
-    X_MAX,
-    X_MIN,
-    Y_MAX,
-    Y_MIN,
-    Block,
-    CorridorProblem,
-    Disjunction,
-    Limits,
-    Option,
-    Row,
-)
+from istc_replay.corridors.problem import CONSTANT, Block, CorridorProblem, IntArray, Limits, Rows
+from istc_replay.corridors.separations import all_separations
 from istc_replay.datatypes import FloatArray, read_only
 from istc_replay.geometry import box_corners
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from istc_replay.config import CorridorsConfig
-    from istc_replay.datatypes import Guidance, Obstacle, Participant, Scenario
+    from istc_replay.datatypes import Guidance, Participant, Scenario
 
 #: Bounds may decide an option only by more than this, so that rounding never does.
-_DECISIVE_M = 1e-9
+DECISIVE_M = 1e-9
 _STANDING_M = 1e-6
 #: A pivotal step may go sideways by this share even where the car hardly turns.
 _LEAST_CONE = 0.03
@@ -93,7 +82,7 @@ def build_problem(
     unit_s = scenario.window.unit_s
     reach_m = max(config.forward_m, speed_max_mps) * unit_s
     blocks: list[Block] = []
-    rows: list[Row] = []
+    rows: list[Rows] = []
     lower, upper = [], []
     offset = 0
     for participant, guide in zip(scenario.participants, guidance, strict=True):
@@ -102,17 +91,17 @@ def build_problem(
         own = limits[block.vehicle_id]
         steps = make_steps(guide, own, reach_m, unit_s, participant.start.speed_mps)
         if guide.slack_rad is not None:
-            rows += lateral_rows(block, guide, config.lateral_m * _LATERAL_SHARE)
+            rows.append(lateral_rows(block, guide, config.lateral_m * _LATERAL_SHARE))
             steps = replace(steps, cone=np.minimum(_narrow_cone(guide.slack_rad, own.tightness), own.cone))
         tube = tube_m(block, steps.along, (config.backward_m, reach_m, config.sideways_m))
-        rows += [*overlap_rows(block), *range_rows(block, tube), *step_rows(block, steps)]
+        rows += [overlap_rows(block), range_rows(block, tube), step_rows(block, steps)]
         low, high = reachable_bounds(block, steps, tube, scenario.bounds_m, offset)
         lower.append(low)
         upper.append(high)
         blocks.append(block)
         offset += len(low)
     bounds = np.concatenate(lower), np.concatenate(upper)
-    return assemble(tuple(blocks), tuple(rows), bounds, scenario, config)
+    return assemble(tuple(blocks), Rows.join(rows), bounds, scenario, config)
 
 
 def _narrow_cone(slack_rad: FloatArray, share: float) -> FloatArray:
@@ -220,84 +209,103 @@ def tube_m(block: Block, along: FloatArray, reach_m: tuple[float, float, float])
     return np.stack([low[:, 0], high[:, 0], low[:, 1], high[:, 1]], axis=-1)
 
 
-def overlap_rows(block: Block) -> Iterator[Row]:
+def overlap_rows(block: Block) -> Rows:
     """Eq. (7), (8), (11): the car-box around each pivotal point lies in the cubes on both sides."""
-    for k in range(block.units):
-        for axis in (0, 1):
-            low, high = int(block.cube[k, 2 * axis]), int(block.cube[k, 2 * axis + 1])
-            for end in (k, k + 1):
-                half = float(block.half_gamma_m[end, axis])
-                pivot = int(block.pivot[end, axis])
-                if pivot != CONSTANT:  # the start box, eq. (8), bounds cube 0 directly
-                    yield Row("eq. (7), (11)", (pivot, low), (1.0, -1.0), half, np.inf)
-                    yield Row("eq. (7), (11)", (high, pivot), (1.0, -1.0), half, np.inf)
+    # The start box, eq. (8), bounds cube 0 directly: p(0) has no rows.
+    ends = np.stack([np.arange(block.units), np.arange(1, block.units + 1)], axis=-1).ravel()
+    cubes = np.repeat(np.arange(block.units), 2)
+    ends, cubes = ends[1:], cubes[1:]
+    parts = []
+    for axis in (0, 1):
+        pivot, half = block.pivot[ends, axis], block.half_gamma_m[ends, axis]
+        low, high = block.cube[cubes, 2 * axis], block.cube[cubes, 2 * axis + 1]
+        for larger, smaller in ((pivot, low), (high, pivot)):
+            parts.append(apart("eq. (7), (11)", larger, smaller, half, np.inf))
+    return Rows.join(parts)
 
 
-def range_rows(block: Block, tube: FloatArray) -> Iterator[Row]:
+def range_rows(block: Block, tube: FloatArray) -> Rows:
     """Eq. (9), (10): a cube stays within the driving range of its pivotal point."""
-    for k in range(1, block.units):
-        for side in range(4):
-            wall, pivot = int(block.cube[k, side]), int(block.pivot[k, side // 2])
-            bounds = (float(tube[k, side]), np.inf) if side % 2 == 0 else (-np.inf, float(tube[k, side]))
-            yield Row("eq. (9), (10)", (wall, pivot), (1.0, -1.0), *bounds)
+    parts = []
+    for side in range(4):
+        wall, pivot, reach = block.cube[1:, side], block.pivot[1:-1, side // 2], tube[1:, side]
+        bounds = (reach, np.inf) if side % 2 == 0 else (-np.inf, reach)
+        parts.append(apart("eq. (9), (10)", wall, pivot, *bounds))
     # Implied with eq. (11): the next car-box lies in the range too. Stated on the pivotal points
     # alone, so that stage A knows it.
-    for k in range(block.units):
-        for axis in (0, 1):
-            half = float(block.half_gamma_m[k + 1, axis])
-            low, high = float(tube[k, 2 * axis]) + half, float(tube[k, 2 * axis + 1]) - half
-            x, y = (1.0, 0.0) if axis == 0 else (0.0, 1.0)
-            weights = {k + 1: (x, y), k: (-x, -y)}
-            yield _difference_row(block, "eq. (9), (10)", weights, low, high)
+    at = np.stack([np.arange(1, block.units + 1), np.arange(block.units)], axis=-1)
+    for axis in (0, 1):
+        half = block.half_gamma_m[1:, axis]
+        weights = np.zeros((block.units, 2, 2))
+        weights[:, 0, axis], weights[:, 1, axis] = 1.0, -1.0
+        low, high = tube[:, 2 * axis] + half, tube[:, 2 * axis + 1] - half
+        parts.append(difference_rows(block, "eq. (9), (10)", at, weights, low, high))
+    return Rows.join(parts)
 
 
-def step_rows(block: Block, steps: Steps) -> Iterator[Row]:
+def step_rows(block: Block, steps: Steps) -> Rows:
     """Eq. (12): the pivotal steps stay in a cone about the chord, their change within limits."""
-    for k in range(block.units):
-        (cx, cy), mu = steps.along[k], float(steps.cone[k])
-        low, high = (float(value) for value in steps.step_m[k])
-        yield _difference_row(block, "eq. (12)", {k + 1: (cx, cy), k: (-cx, -cy)}, low, high)
-        for sign in (1.0, -1.0):
-            wx, wy = mu * cx - sign * -cy, mu * cy - sign * cx
-            yield _difference_row(block, "eq. (12)", {k + 1: (wx, wy), k: (-wx, -wy)}, 0.0, np.inf)
-    for k in range(1, block.units):
-        hx, hy = steps.heading[k]
-        for (wx, wy), (low, high) in zip(((hx, hy), (-hy, hx)), steps.second_m[k].reshape(2, 2), strict=True):
-            weights = {k + 1: (wx, wy), k: (-2.0 * wx, -2.0 * wy), k - 1: (wx, wy)}
-            yield _difference_row(block, "eq. (12)", weights, float(low), float(high))
+    at = np.stack([np.arange(1, block.units + 1), np.arange(block.units)], axis=-1)
+    along, cone = steps.along, steps.cone[:, None]
+    across = np.stack([-along[:, 1], along[:, 0]], axis=-1)
+
+    def step(direction: FloatArray, low: FloatArray | float, high: FloatArray | float) -> Rows:
+        weights = np.stack([direction, -direction], axis=1)
+        return difference_rows(block, "eq. (12)", at, weights, low, high)
+
+    parts = [step(along, *steps.step_m.T)]
+    parts += [step(cone * along - sign * across, 0.0, np.inf) for sign in (1.0, -1.0)]
+    inner = np.arange(1, block.units)
+    at = np.stack([inner + 1, inner, inner - 1], axis=-1)
+    heading = steps.heading[inner]
+    leftward = np.stack([-heading[:, 1], heading[:, 0]], axis=-1)
+    for direction, bounds in ((heading, steps.second_m[inner, :2]), (leftward, steps.second_m[inner, 2:])):
+        weights = np.stack([direction, -2.0 * direction, direction], axis=1)
+        parts.append(difference_rows(block, "eq. (12)", at, weights, *bounds.T))
+    return Rows.join(parts)
 
 
-def lateral_rows(block: Block, guide: Guidance, lateral_m: float) -> Iterator[Row]:
+def lateral_rows(block: Block, guide: Guidance, lateral_m: float) -> Rows:
     """Keep pivotal points beside the path of the guidance, across its heading at each unit.
 
     Where the path bends, the rows give way by as much as the path itself leaves its tangent: a car
     that is early or late is elsewhere on the path.
     """
-    for k in range(1, block.units + 1):
-        heading = float(guide.headings_rad[k])
-        nx, ny = -float(np.sin(heading)), float(np.cos(heading))
-        x, y = (float(value) for value in guide.points_m[k])
-        path = (guide.poses[:, 0] - x) * nx + (guide.poses[:, 1] - y) * ny
-        low, high = min(float(path.min()), 0.0) - lateral_m, max(float(path.max()), 0.0) + lateral_m
-        offset = x * nx + y * ny
-        index = (int(block.pivot[k, 0]), int(block.pivot[k, 1]))
-        yield Row("lateral bound", index, (nx, ny), low + offset, high + offset)
+    headings = guide.headings_rad[1:]
+    normal = np.stack([-np.sin(headings), np.cos(headings)], axis=-1)  # (K, 2)
+    offset = np.einsum("ij,ij->i", normal, guide.points_m[1:])
+    path = guide.poses[:, :2] @ normal.T - offset  # (S, K)
+    low, high = np.minimum(path.min(axis=0), 0.0) - lateral_m, np.maximum(path.max(axis=0), 0.0) + lateral_m
+    return Rows.of("lateral bound", block.pivot[1:], normal, low + offset, high + offset)
 
 
-def _difference_row(
-    block: Block, equation: str, weights: dict[int, tuple[float, float]], lower: float, upper: float
-) -> Row:
-    index, weight, constant = [], [], 0.0
-    for k, pair in weights.items():
-        for axis, value in enumerate(pair):
-            if value == 0.0:
-                continue
-            if k == 0:
-                constant += value * float(block.start_m[axis])
-            else:
-                index.append(int(block.pivot[k, axis]))
-                weight.append(float(value))
-    return Row(equation, tuple(index), tuple(weight), lower - constant, upper - constant)
+def apart(
+    equation: str,
+    larger: IntArray,
+    smaller: IntArray,
+    lower: FloatArray | float,
+    upper: FloatArray | float,
+) -> Rows:
+    """Rows lower <= z[larger] - z[smaller] <= upper."""
+    index = np.stack([larger, smaller], axis=-1)
+    return Rows.of(equation, index, np.broadcast_to([1.0, -1.0], index.shape), lower, upper)
+
+
+def difference_rows(
+    block: Block,
+    equation: str,
+    at: IntArray,
+    weights: FloatArray,
+    lower: FloatArray | float,
+    upper: FloatArray | float,
+) -> Rows:
+    """Rows of weights (R, m, 2) times the pivotal points of units `at` (R, m); p(0) is a constant."""
+    index = block.pivot[at]  # (R, m, 2)
+    fixed = index == CONSTANT
+    constant = np.where(fixed, weights * block.start_m, 0.0).sum(axis=(1, 2))
+    shape = (len(at), 2 * at.shape[1])
+    free = np.where(fixed, 0.0, weights).reshape(shape)
+    return Rows.of(equation, index.reshape(shape), free, lower - constant, upper - constant)
 
 
 def reachable_bounds(
@@ -363,16 +371,16 @@ def _second_hull(heading: FloatArray, second_m: FloatArray) -> tuple[FloatArray,
 
 def assemble(
     blocks: tuple[Block, ...],
-    rows: tuple[Row, ...],
+    rows: Rows,
     bounds: tuple[FloatArray, FloatArray],
     scenario: Scenario,
     config: CorridorsConfig,
     *,
     decide: bool = True,
 ) -> CorridorProblem:
-    """Add objective, witnesses and disjunctions to the rows of all vehicles.
+    """Add objective, witnesses and separations to the rows of all vehicles.
 
-    With `decide`, disjunctions and options that the bounds decide are left out.
+    With `decide`, separations and options that the bounds decide are left out.
     """
     lower, upper = bounds
     size = len(lower)
@@ -390,59 +398,20 @@ def assemble(
             ends = sign * block.half_gamma_m[:, axis]
             witness_offset[walls] = np.stack([ends[:-1], ends[1:]], axis=-1)
             witness_offset[walls[0], 0] += block.start_m[axis]
-    disjunctions: tuple[Disjunction, ...] = (
-        *_vehicle_disjunctions(blocks, config.vehicle_gap_m),
-        *_obstacle_disjunctions(blocks, scenario.obstacles, config.obstacle_gap_m),
-    )
+    separations = all_separations(blocks, scenario.obstacles, config.vehicle_gap_m, config.obstacle_gap_m)
     if decide:
-        disjunctions = tuple(_undecided(disjunctions, lower, upper))
+        separations, _ = separations.undecided(lower, upper, DECISIVE_M)
+    names = tuple(obstacle.obstacle_id for obstacle in scenario.obstacles)
     return CorridorProblem(
-        blocks, rows, disjunctions, quadratic, reference, linear, lower, upper, witness, witness_offset
+        blocks,
+        names,
+        rows,
+        separations,
+        quadratic,
+        reference,
+        linear,
+        lower,
+        upper,
+        witness,
+        witness_offset,
     )
-
-
-def _vehicle_disjunctions(blocks: tuple[Block, ...], gap_m: float) -> Iterator[Disjunction]:
-    """Eq. (5): in each common unit one of the four separations of two cubes."""
-    for i, first in enumerate(blocks):
-        for second in blocks[i + 1 :]:
-            for unit in range(max(first.first_unit, second.first_unit), min(first.end_unit, second.end_unit)):
-                a, b = first.cube[unit - first.first_unit], second.cube[unit - second.first_unit]
-                options = tuple(
-                    Option(int(larger[low]), int(smaller[high]), gap_m)
-                    for low, high in ((X_MIN, X_MAX), (Y_MIN, Y_MAX))
-                    for larger, smaller in ((a, b), (b, a))
-                )
-                yield Disjunction("eq. (5)", unit, first.vehicle_id, second.vehicle_id, options)
-
-
-def _obstacle_disjunctions(
-    blocks: tuple[Block, ...],
-    obstacles: tuple[Obstacle, ...],
-    gap_m: float,
-) -> Iterator[Disjunction]:
-    """Eq. (6): in each unit one of the four separations of a cube and an obstacle's box."""
-    for block in blocks:
-        for obstacle in obstacles:
-            for unit in range(block.first_unit, block.end_unit):
-                box = obstacle.boxes_m[unit]
-                if np.isnan(box).any():
-                    continue
-                cube = block.cube[unit - block.first_unit]
-                options = []
-                for low, high in ((X_MIN, X_MAX), (Y_MIN, Y_MAX)):
-                    options.append(Option(int(cube[low]), CONSTANT, float(box[high]) + gap_m))
-                    options.append(Option(CONSTANT, int(cube[high]), gap_m - float(box[low])))
-                yield Disjunction("eq. (6)", unit, block.vehicle_id, obstacle.obstacle_id, tuple(options))
-
-
-def _undecided(
-    disjunctions: tuple[Disjunction, ...], lower: FloatArray, upper: FloatArray
-) -> Iterator[Disjunction]:
-    """Leave out what the bounds decide: impossible options, and disjunctions that always hold."""
-    least, most = np.append(lower, 0.0), np.append(upper, 0.0)
-    for disjunction in disjunctions:
-        options = disjunction.options
-        if max(least[o.larger] - most[o.smaller] - o.gap for o in options) >= 0.0:
-            continue
-        possible = tuple(o for o in options if most[o.larger] - least[o.smaller] - o.gap >= -_DECISIVE_M)
-        yield replace(disjunction, options=possible)

@@ -14,21 +14,27 @@ import numpy as np
 import pyomo.environ as pyo
 from pyomo.core.expr.numeric_expr import LinearExpression
 
-from istc_replay.corridors.problem import CONSTANT, CorridorProblem, Disjunction, OptionTable, Row
+from istc_replay.corridors.problem import CONSTANT, extended
 from istc_replay.datatypes import FloatArray, read_only
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Sequence
+
+    from istc_replay.corridors.problem import CorridorProblem, IntArray, Rows, Separations
+
+#: Bounds of fixed pivotal points decide a separation only by more than this.
+_DECISIVE_M = 1e-6
 
 
 @dataclass(slots=True)
 class MilpModel:
     """The outer approximation as a Pyomo model: z, a binary an option, squares above tangents.
 
-    `delta[d, o]` = 0 enforces option o of disjunction d, as in the paper.
+    `delta[d, o]` = 0 enforces option o of separation d, as in the paper.
     """
 
     problem: CorridorProblem
+    separations: Separations
     model: Any
     tangents: list[tuple[int, float]] = field(default_factory=list)
 
@@ -39,13 +45,9 @@ class MilpModel:
 
     def set_start(self, z: FloatArray) -> None:
         """Make z, with the options it meets best, the MIP start."""
-        for index, variable in self.model.z.items():
-            variable.set_value(float(z[index]), skip_validation=True)
-        for index, variable in self.model.square.items():
-            variable.set_value(float((z[index] - self.problem.reference[index]) ** 2), skip_validation=True)
-        for d, best in enumerate(chosen_options(self.problem, z)):
-            for o in range(len(self.problem.disjunctions[d].options)):
-                self.model.delta[d, o].set_value(0 if o == best else 1, skip_validation=True)
+        best = self.separations.best(z)
+        for (d, o), variable in self.model.delta.items():
+            variable.set_value(0 if o == best[d] else 1, skip_validation=True)
 
     def add_tangents(self, z: FloatArray) -> int:
         """Add the tangents of all squares at z; returns how many were new."""
@@ -69,37 +71,22 @@ class MilpModel:
         return read_only([self.model.z[index].value for index in range(self.problem.size)])
 
 
-def build_milp(
-    problem: CorridorProblem,
-    *,
-    lower: FloatArray | None = None,
-    upper: FloatArray | None = None,
-    big_m: float | None = None,
-    squares: bool = True,
-) -> MilpModel:
-    """Write the problem as a Pyomo model.
+def build_milp(problem: CorridorProblem, *, big_m: float | None = None) -> MilpModel:
+    """Write the problem as a Pyomo model, without tangents yet.
 
     Parameters
     ----------
     problem : CorridorProblem
         What to solve.
-    lower, upper : (n,) arrays, optional
-        Other bounds of z, such as fixed pivotal points.
     big_m : float, optional
         One M for all rows, as printed; otherwise the least that the bounds allow, row by row.
-    squares : bool
-        Whether eq. (3) is part of the objective (without tangents yet).
     """
-    low = problem.lower if lower is None else lower
-    high = problem.upper if upper is None else upper
     model = pyo.ConcreteModel("interactive spatio-temporal corridors")
-    model.z = pyo.Var(range(problem.size), bounds=lambda _, i: (float(low[i]), float(high[i])), doc="eq. (1)")
-    quadratic = np.flatnonzero(problem.quadratic) if squares else np.array([], dtype=np.int64)
+    _add_variables(model, range(problem.size), problem.lower, problem.upper)
+    quadratic = np.flatnonzero(problem.quadratic)
     model.square = pyo.Var(quadratic.tolist(), within=pyo.NonNegativeReals, doc="squares of eq. (3)")
-    pairs = [(d, o) for d, item in enumerate(problem.disjunctions) for o in range(len(item.options))]
-    model.delta = pyo.Var(pairs, within=pyo.Binary, doc="delta of eq. (5), (6)")
     _add_rows(model, problem.rows)
-    _add_disjunctions(model, problem.disjunctions, low, high, big_m)
+    _add_separations(model, problem.separations, problem.lower, problem.upper, big_m)
     model.tangents = pyo.ConstraintList(doc="outer approximation of the squares of eq. (3)")
     linear = np.flatnonzero(problem.linear)
     model.objective = pyo.Objective(
@@ -109,68 +96,106 @@ def build_milp(
         ),
         doc="eq. (4)",
     )
-    return MilpModel(problem, model)
+    return MilpModel(problem, problem.separations, model)
+
+
+@dataclass(slots=True)
+class SizeModel:
+    """The cubes alone, around fixed pivotal points: walls that a separation leaves to choose.
+
+    `walls` are their indices in z; all other walls are as far out as the rows allow. `model` is None
+    where nothing is left to choose.
+    """
+
+    grown: FloatArray
+    walls: IntArray
+    model: Any
+
+    def solution(self) -> FloatArray:
+        """All of z."""
+        z = np.array(self.grown)
+        z[self.walls] = [self.model.z[i].value for i in self.walls.tolist()]
+        return read_only(z)
+
+
+def build_size_milp(problem: CorridorProblem, z: FloatArray) -> SizeModel:
+    """Write the problem with pivotal points fixed at z: bounds of walls, and the separations left.
+
+    Every row has at most one wall (our reading, not the printed rows).
+    """
+    lower, upper = np.array(problem.lower), np.array(problem.upper)
+    pivots = problem.pivot_indices
+    lower[pivots] = upper[pivots] = z[pivots]
+    rows = problem.rows
+    is_wall = np.append(problem.quadratic == 0.0, False)[rows.index]
+    which, entry = np.nonzero(is_wall)
+    wall, weight = rows.index[which, entry], rows.weight[which, entry]
+    rest = rows.value(np.where(problem.quadratic > 0.0, z, 0.0))[which]
+    sides = np.stack([rows.lower[which] - rest, rows.upper[which] - rest], axis=-1) / weight[:, None]
+    np.maximum.at(lower, wall, sides.min(axis=1))
+    np.minimum.at(upper, wall, sides.max(axis=1))
+    upper = np.maximum(lower, upper)  # they may cross by rounding
+    grown = np.where(problem.linear > 0.0, lower, upper)
+    left, _ = problem.separations.undecided(lower, upper, _DECISIVE_M)
+    used = np.where(left.possible[..., None], np.stack([left.larger, left.smaller], axis=-1), CONSTANT)
+    walls = np.unique(used[used != CONSTANT])
+    if not len(left):
+        return SizeModel(grown, walls, None)
+    model = pyo.ConcreteModel("cube sizes")
+    _add_variables(model, walls.tolist(), lower, upper)
+    _add_separations(model, left, lower, upper, None)
+    model.objective = pyo.Objective(
+        expr=_linear([model.z[i] for i in walls.tolist()], problem.linear[walls].tolist()), doc="eq. (2)"
+    )
+    return SizeModel(grown, walls, model)
 
 
 def _linear(variables: Sequence[Any], weights: Sequence[float]) -> Any:
     return LinearExpression(constant=0, linear_coefs=list(weights), linear_vars=list(variables))
 
 
-def _add_rows(model: Any, rows: Iterable[Row]) -> None:
+def _add_variables(model: Any, indices: Sequence[int], lower: FloatArray, upper: FloatArray) -> None:
+    model.z = pyo.Var(indices, bounds=lambda _, i: (float(lower[i]), float(upper[i])), doc="eq. (1)")
+
+
+def _add_rows(model: Any, rows: Rows) -> None:
     model.rows = pyo.Block(doc="the equations that always hold, a list an equation")
     lists: dict[str, Any] = {}
-    for row in rows:
-        if row.equation not in lists:
-            name = "eq_" + "_".join(part.strip("().,") for part in row.equation.split()[1:])
-            lists[row.equation] = pyo.ConstraintList(doc=row.equation)
-            model.rows.add_component(name, lists[row.equation])
-        expression = _linear([model.z[i] for i in row.index], row.weight)
-        lower = None if np.isneginf(row.lower) else row.lower
-        upper = None if np.isposinf(row.upper) else row.upper
-        lists[row.equation].add((lower, expression, upper))
+    names = [name for name, count in rows.families for _ in range(count)]
+    variables = dict(model.z.items())
+    columns = (c.tolist() for c in (rows.index, rows.weight, rows.lower, rows.upper))
+    for equation, index, weight, lower, upper in zip(names, *columns, strict=True):
+        if equation not in lists:
+            name = "eq_" + "_".join(part.strip("().,") for part in equation.split()[1:])
+            lists[equation] = pyo.ConstraintList(doc=equation)
+            model.rows.add_component(name, lists[equation])
+        terms = [(variables[i], w) for i, w in zip(index, weight, strict=True) if w != 0.0]
+        expression = _linear([v for v, _ in terms], [w for _, w in terms])
+        lists[equation].add(
+            (None if lower == -np.inf else lower, expression, None if upper == np.inf else upper)
+        )
 
 
-def _add_disjunctions(
-    model: Any,
-    disjunctions: Sequence[Disjunction],
-    low: FloatArray,
-    high: FloatArray,
-    big_m: float | None,
+def _add_separations(
+    model: Any, separations: Separations, lower: FloatArray, upper: FloatArray, big_m: float | None
 ) -> None:
+    possible = separations.possible
+    pairs = [(int(d), int(o)) for d, o in np.argwhere(possible)]
+    model.delta = pyo.Var(pairs, within=pyo.Binary, doc="delta of eq. (5), (6)")
     model.separations = pyo.ConstraintList(doc="the four rows of eq. (5), (6)")
     model.choices = pyo.ConstraintList(doc="one option of eq. (5), (6) holds")
-    least, most = np.append(low, 0.0), np.append(high, 0.0)
-    for d, disjunction in enumerate(disjunctions):
-        for o, option in enumerate(disjunction.options):
-            slack = option.gap - float(least[option.larger] - most[option.smaller])
-            sides = [(option.larger, 1.0), (option.smaller, -1.0)]
-            variables = [model.z[i] for i, _ in sides if i != CONSTANT]
-            weights = [w for i, w in sides if i != CONSTANT]
-            m = big_m if big_m is not None else max(slack, 0.0)
-            expression = _linear([*variables, model.delta[d, o]], [*weights, m])
-            model.separations.add(expression >= option.gap)
-        deltas = [model.delta[d, o] for o in range(len(disjunction.options))]
+    least, most = extended(lower), extended(upper)
+    slack = separations.gap - (least[separations.larger] - most[separations.smaller])
+    for d, o in pairs:
+        larger, smaller = int(separations.larger[d, o]), int(separations.smaller[d, o])
+        sides = [(model.z[i], w) for i, w in ((larger, 1.0), (smaller, -1.0)) if i != CONSTANT]
+        m = big_m if big_m is not None else max(float(slack[d, o]), 0.0)
+        expression = _linear([*(v for v, _ in sides), model.delta[d, o]], [*(w for _, w in sides), m])
+        model.separations.add(expression >= float(separations.gap[d, o]))
+    for d in range(len(separations)):
+        deltas = [model.delta[d, int(o)] for o in np.flatnonzero(possible[d])]
         open_options = _linear(deltas, [1.0] * len(deltas))
         if big_m is None:
             model.choices.add(open_options == len(deltas) - 1)  # sum (1 - delta) = 1
         else:
             model.choices.add(open_options <= len(deltas) - 1)  # as printed: at most 3 of 4
-
-
-def chosen_options(problem: CorridorProblem, z: FloatArray) -> list[int]:
-    """Return the option of each disjunction that z meets best."""
-    if not problem.disjunctions:
-        return []
-    return [int(best) for best in OptionTable.of(problem.disjunctions).slack(z).argmax(axis=1)]
-
-
-def option_rows(problem: CorridorProblem, choice: Sequence[int]) -> list[Row]:
-    """Rows that enforce one option of each disjunction."""
-    rows = []
-    for disjunction, chosen in zip(problem.disjunctions, choice, strict=True):
-        option = disjunction.options[chosen]
-        sides = [(option.larger, 1.0), (option.smaller, -1.0)]
-        index = tuple(i for i, _ in sides if i != CONSTANT)
-        weight = tuple(w for i, w in sides if i != CONSTANT)
-        rows.append(Row(disjunction.equation, index, weight, option.gap, np.inf))
-    return rows

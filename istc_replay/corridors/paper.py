@@ -12,12 +12,22 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from istc_replay.corridors.formulation import assemble, make_block
-from istc_replay.corridors.problem import CONSTANT, Block, CorridorProblem, Limits, Row
+from istc_replay.corridors.formulation import apart, assemble, make_block
+from istc_replay.corridors.problem import (
+    CONSTANT,
+    X_MAX,
+    X_MIN,
+    Y_MAX,
+    Y_MIN,
+    Block,
+    CorridorProblem,
+    Limits,
+    Rows,
+)
 from istc_replay.datatypes import FloatArray
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from istc_replay.config import CorridorsConfig
     from istc_replay.datatypes import Guidance, Scenario
@@ -39,8 +49,8 @@ def build_paper_problem(
     for participant, guide in zip(scenario.participants, guidance, strict=True):
         block = make_block(participant, guide, np.pi, offset)  # any heading: gamma is the diagonal
         range_m = _driving_range(guide, config, scenario.window.unit_s)
-        rows += [*_pivot_rows(block), *_size_rows(block), *_range_rows(block, range_m, config)]
-        rows += [*_overlap_rows(block), *_step_rows(block, guide, config, scenario.window.unit_s)]
+        rows += [_pivot_rows(block), _size_rows(block), _range_rows(block, range_m, config)]
+        rows += [_overlap_rows(block), _step_rows(block, guide, config, scenario.window.unit_s)]
         low, high = _bounds(block, config, scenario, offset)
         lower.append(low)
         upper.append(high)
@@ -48,7 +58,7 @@ def build_paper_problem(
         offset += len(low)
     return assemble(
         tuple(blocks),
-        tuple(rows),
+        Rows.join(rows),
         (np.concatenate(lower), np.concatenate(upper)),
         scenario,
         config,
@@ -64,61 +74,60 @@ def _driving_range(guide: Guidance, config: CorridorsConfig, unit_s: float) -> F
     return np.sort(reach * unit_s, axis=-1)
 
 
-def _pivot_rows(block: Block) -> Iterator[Row]:
+def _pivot_rows(block: Block) -> Rows:
     """Eq. (1): the scale vector is not negative, so that a cube holds its pivotal point."""
-    for k in range(1, block.units + 1):
-        for axis in (0, 1):
-            cube = block.cube[min(k, block.units - 1)]
-            pivot = int(block.pivot[k, axis])
-            yield Row("eq. (1)", (pivot, int(cube[2 * axis])), (1.0, -1.0), 0.0, np.inf)
-            yield Row("eq. (1)", (int(cube[2 * axis + 1]), pivot), (1.0, -1.0), 0.0, np.inf)
+    cube = block.cube[np.minimum(np.arange(1, block.units + 1), block.units - 1)]
+    parts = []
+    for axis in (0, 1):
+        pivot = block.pivot[1:, axis]
+        parts.append(apart("eq. (1)", pivot, cube[:, 2 * axis], 0.0, np.inf))
+        parts.append(apart("eq. (1)", cube[:, 2 * axis + 1], pivot, 0.0, np.inf))
+    return Rows.join(parts)
 
 
-def _size_rows(block: Block) -> Iterator[Row]:
+def _size_rows(block: Block) -> Rows:
     """Eq. (7): each cube has room for the car."""
-    for k in range(block.units):
-        for axis in (0, 1):
-            low, high = int(block.cube[k, 2 * axis]), int(block.cube[k, 2 * axis + 1])
-            yield Row("eq. (7)", (high, low), (1.0, -1.0), 2.0 * float(block.half_gamma_m[1, axis]), np.inf)
+    return Rows.join(
+        apart("eq. (7)", block.cube[:, high], block.cube[:, low], 2.0 * block.half_gamma_m[1, axis], np.inf)
+        for axis, (low, high) in enumerate(((X_MIN, X_MAX), (Y_MIN, Y_MAX)))
+    )
 
 
-def _range_rows(block: Block, range_m: FloatArray, config: CorridorsConfig) -> Iterator[Row]:
+def _range_rows(block: Block, range_m: FloatArray, config: CorridorsConfig) -> Rows:
     """Eq. (9): cube k lies within alpha times the driving range from p(k-1)."""
-    for k in range(1, block.units):
-        for axis in (0, 1):
-            pivot = int(block.pivot[k - 1, axis])
-            allowance = config.sideways_m + float(block.half_gamma_m[k, axis])
-            low, high = config.paper_relaxation * range_m[k - 1, axis] + (-allowance, allowance)
-            start = float(block.start_m[axis]) if pivot == CONSTANT else 0.0
-            for side, bounds in ((2 * axis, (low + start, np.inf)), (2 * axis + 1, (-np.inf, high + start))):
-                wall = int(block.cube[k, side])
-                index, weight = ((wall,), (1.0,)) if pivot == CONSTANT else ((wall, pivot), (1.0, -1.0))
-                yield Row("eq. (9), (10)", index, weight, float(bounds[0]), float(bounds[1]))
+    parts = []
+    for axis in (0, 1):
+        pivot = block.pivot[:-2, axis]
+        start = np.where(pivot == CONSTANT, block.start_m[axis], 0.0)
+        allowance = config.sideways_m + block.half_gamma_m[1:-1, axis]
+        low = config.paper_relaxation * range_m[:-1, axis, 0] - allowance + start
+        high = config.paper_relaxation * range_m[:-1, axis, 1] + allowance + start
+        for side, bounds in ((2 * axis, (low, np.inf)), (2 * axis + 1, (-np.inf, high))):
+            parts.append(apart("eq. (9), (10)", block.cube[1:, side], pivot, *bounds))
+    return Rows.join(parts)
 
 
-def _overlap_rows(block: Block) -> Iterator[Row]:
+def _overlap_rows(block: Block) -> Rows:
     """Eq. (11), with its signs: consecutive cubes overlap by the car."""
-    for k in range(1, block.units):
-        for axis in (0, 1):
-            gamma = 2.0 * float(block.half_gamma_m[1, axis])
-            low, high = 2 * axis, 2 * axis + 1
-            for later, earlier in ((k, k - 1), (k - 1, k)):
-                index = (int(block.cube[later, high]), int(block.cube[earlier, low]))
-                yield Row("eq. (11)", index, (1.0, -1.0), gamma, np.inf)
+    parts = []
+    for axis, (low, high) in enumerate(((X_MIN, X_MAX), (Y_MIN, Y_MAX))):
+        gamma = 2.0 * block.half_gamma_m[1, axis]
+        parts.append(apart("eq. (11)", block.cube[1:, high], block.cube[:-1, low], gamma, np.inf))
+        parts.append(apart("eq. (11)", block.cube[:-1, high], block.cube[1:, low], gamma, np.inf))
+    return Rows.join(parts)
 
 
-def _step_rows(block: Block, guide: Guidance, config: CorridorsConfig, unit_s: float) -> Iterator[Row]:
+def _step_rows(block: Block, guide: Guidance, config: CorridorsConfig, unit_s: float) -> Rows:
     """Eq. (12): a pivotal point's step is bounded axis by axis."""
     headings = guide.headings_rad[:-1]
     components = np.abs(np.stack([np.cos(headings), np.sin(headings)], axis=-1))
     reach = config.forward_m * unit_s * components + config.sideways_m
-    for k in range(block.units):
-        for axis in (0, 1):
-            here, there = int(block.pivot[k, axis]), int(block.pivot[k + 1, axis])
-            start = float(block.start_m[axis]) if here == CONSTANT else 0.0
-            index, weight = ((there,), (1.0,)) if here == CONSTANT else ((there, here), (1.0, -1.0))
-            step = float(reach[k, axis])
-            yield Row("eq. (12)", index, weight, start - step, start + step)
+    parts = []
+    for axis in (0, 1):
+        here, there = block.pivot[:-1, axis], block.pivot[1:, axis]
+        start = np.where(here == CONSTANT, block.start_m[axis], 0.0)
+        parts.append(apart("eq. (12)", there, here, start - reach[:, axis], start + reach[:, axis]))
+    return Rows.join(parts)
 
 
 def _bounds(

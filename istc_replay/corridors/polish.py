@@ -7,55 +7,58 @@ from typing import TYPE_CHECKING
 import casadi
 import numpy as np
 
-from istc_replay.corridors.miqp import option_rows
+from istc_replay.corridors.problem import CONSTANT, Rows
 from istc_replay.datatypes import FloatArray, read_only
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from istc_replay.corridors.problem import CorridorProblem
+    from istc_replay.corridors.problem import CorridorProblem, IntArray
 
 #: A solution that misses a row by more than this is no solution.
 FEASIBLE_M = 1e-6
 
 
-def polish(problem: CorridorProblem, choice: Sequence[int] | None) -> FloatArray | None:
-    """Minimise eq. (4) with one option of each disjunction enforced.
+def polish(
+    problem: CorridorProblem, choice: Sequence[int] | IntArray | None, *, share: float = 1.0
+) -> FloatArray | None:
+    """Minimise eq. (4) with one option of each separation enforced.
 
     Parameters
     ----------
     problem : CorridorProblem
         The window's problem.
-    choice : sequence of int, optional
-        The option of each disjunction; None leaves all of them out, which bounds eq. (4) below.
+    choice : (D,) sequence of int, optional
+        The option of each separation; None leaves all of them out, which bounds eq. (4) below.
+    share : float
+        Share of eq. (3) that counts; 1 is eq. (4).
 
     Returns
     -------
     (n,) array or None
         The optimum, or None where the choices contradict each other.
     """
-    rows = [*problem.rows, *(option_rows(problem, choice) if choice is not None else [])]
-    row_index = np.repeat(np.arange(len(rows)), [len(row.index) for row in rows])
-    columns = np.concatenate([row.index for row in rows])
-    weights = np.concatenate([row.weight for row in rows])
-    matrix = casadi.DM.triplet(
-        row_index.tolist(), columns.tolist(), casadi.DM(weights), len(rows), problem.size
-    )
-    hessian = casadi.sparsify(casadi.diag(casadi.DM(2.0 * problem.quadratic)))
+    rows = problem.rows
+    if choice is not None and len(problem.separations):
+        rows = Rows.join([rows, problem.separations.rows(choice)])
+    place, entry = np.nonzero(rows.index != CONSTANT)
+    column, weight = rows.index[place, entry], rows.weight[place, entry]
+    shape = len(rows.lower), problem.size
+    matrix = casadi.DM.triplet(place.tolist(), column.tolist(), casadi.DM(weight), *shape)
+    quadratic = share * problem.quadratic
+    hessian = casadi.sparsify(casadi.diag(casadi.DM(2.0 * quadratic)))
     solver = casadi.conic(
         "polish",
         "piqp",
         {"h": hessian.sparsity(), "a": matrix.sparsity()},
         {"error_on_fail": False, "piqp": {"eps_abs": 1e-9, "eps_rel": 1e-10}},
     )
-    lower = np.array([row.lower for row in rows])
-    upper = np.array([row.upper for row in rows])
     solution = solver(
         h=hessian,
-        g=problem.linear - 2.0 * problem.quadratic * problem.reference,
+        g=problem.linear - 2.0 * quadratic * problem.reference,
         a=matrix,
-        lba=lower,
-        uba=upper,
+        lba=rows.lower,
+        uba=rows.upper,
         lbx=problem.lower,
         ubx=problem.upper,
     )
@@ -63,6 +66,6 @@ def polish(problem: CorridorProblem, choice: Sequence[int] | None) -> FloatArray
     if not np.isfinite(z).all():
         return None
     z = np.clip(z, problem.lower, problem.upper)
-    value = np.bincount(row_index, weights * z[columns], minlength=len(rows))
-    excess = max(float((lower - value).max()), float((value - upper).max()))
+    value = rows.value(z)
+    excess = max(float((rows.lower - value).max()), float((value - rows.upper).max()))
     return read_only(z) if excess <= FEASIBLE_M else None

@@ -10,7 +10,7 @@ import numpy as np
 
 from istc_replay.corridors import cbc, conflict_tree
 from istc_replay.corridors.formulation import build_problem
-from istc_replay.corridors.miqp import MilpModel, build_milp, chosen_options
+from istc_replay.corridors.miqp import MilpModel, build_milp, build_size_milp
 from istc_replay.corridors.paper import PAPER_BIG_M, build_paper_problem
 from istc_replay.corridors.polish import polish
 from istc_replay.corridors.relinearise import frames_about, with_references
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from istc_replay.config import CorridorsConfig
-    from istc_replay.corridors.problem import CorridorProblem, Disjunction, Limits
+    from istc_replay.corridors.problem import CorridorProblem, Limits
     from istc_replay.datatypes import Guidance, Scenario
 
 #: Where the first tangents touch, from the incumbent [m]. Wide seeds close the gap in one round
@@ -89,9 +89,10 @@ def solve_corridors(
     paper = config.formulation == "paper"
     build = build_paper_problem if paper else build_problem
     problem = build(scenario, guidance, config, limits, speed_max_mps)
-    if problem.impossible:
-        reason = _conflict_text(problem.impossible[0])
-        pairs = tuple(dict.fromkeys((d.first, d.second) for d in problem.impossible))
+    impossible = problem.impossible.tolist()
+    if impossible:
+        reason = _conflict_text(problem, impossible[0])
+        pairs = tuple(dict.fromkeys(map(problem.pair, impossible)))
         return Corridors(SolveStatus.INFEASIBLE, reason=reason, culprits=pairs)
     cramped = _cramped(problem)
     if cramped:
@@ -109,7 +110,7 @@ def solve_corridors(
 
             _relinearise(search, guidance, rewritten, config)
     wanted = config.mode == "certified" or (search.z is None and not scenario.traffic)
-    if problem.disjunctions and wanted and problem.binaries <= config.proof_binaries_max:
+    if len(problem.separations) and wanted and problem.binaries <= config.proof_binaries_max:
         _prove(search, config, PAPER_BIG_M if paper else None)
     else:
         _relax(search)
@@ -160,15 +161,15 @@ def _incumbent(search: _Search, config: CorridorsConfig, *, sized: bool) -> Corr
     )
     if tree.z is None:
         conflict = tree.open_conflict
-        search.culprits = tree.groups if conflict is None else ((conflict.first, conflict.second),)
+        search.culprits = tree.groups if conflict is None else (problem.pair(conflict),)
     if infeasible:
-        where = "" if tree.open_conflict is None else _conflict_text(tree.open_conflict)
+        where = "" if tree.open_conflict is None else _conflict_text(problem, tree.open_conflict)
         reason = where or "the limits of eq. (9) to (12) contradict each other or the map's bounds"
         return Corridors(SolveStatus.INFEASIBLE, reason=reason, culprits=search.culprits)
     if tree.z is None:
         return None
-    grown = _size_cubes(search, tree.z, config) if sized and problem.disjunctions else tree.z
-    choice = chosen_options(problem, grown)
+    grown = _size_cubes(search, tree.z, config) if sized and len(problem.separations) else tree.z
+    choice = problem.separations.best(grown)
     began = time.perf_counter()
     z = polish(problem, choice)
     search.offer(z, "joint polish")
@@ -186,10 +187,13 @@ def _size_cubes(search: _Search, z: FloatArray, config: CorridorsConfig) -> Floa
     """Stage B: the largest cubes around fixed pivotal points, a small MILP."""
     began = time.perf_counter()
     problem = search.problem
-    lower, upper = np.array(problem.lower), np.array(problem.upper)
-    pivots = problem.pivot_indices
-    lower[pivots] = upper[pivots] = np.clip(z[pivots], lower[pivots], upper[pivots])
-    milp = build_milp(problem, lower=lower, upper=upper, squares=False)
+    milp = build_size_milp(problem, z)
+    if milp.model is None:
+        search.offer(milp.grown, "cube sizes")
+        search.record(
+            "cube sizes", "bounds", SolveStatus.OPTIMAL, began, objective=problem.objective(milp.grown)
+        )
+        return milp.grown
     run = cbc.solve(
         milp.model,
         gap=0.0,
@@ -207,7 +211,8 @@ def _size_cubes(search: _Search, z: FloatArray, config: CorridorsConfig) -> Floa
         objective=problem.objective(sized),
         nodes=run.nodes,
         iterations=run.iterations,
-        binaries=milp.binaries,
+        binaries=len(milp.model.delta),
+        detail=run.detail,
     )
     return sized
 
@@ -225,16 +230,18 @@ def _relinearise(
         began = time.perf_counter()
         frames = frames_about(search.problem, search.z, guidance)
         problem = with_references(rewritten(frames), guidance)
-        if problem.impossible or _cramped(problem):
+        if len(problem.impossible) or _cramped(problem):
             return
-        choice = chosen_options(problem, search.z)
+        choice = problem.separations.best(search.z)
         polished = polish(problem, choice)
         found = [polished]
         # Other choices are worth a search only where the frames made a difference.
         if polished is None or problem.objective(polished) < search.objective - _MUCH * abs(search.objective):
-            refined = conflict_tree.refine(problem, tuple(enumerate(choice)), config.tree_node_budget // 8)
+            refined = conflict_tree.refine(
+                problem, tuple(enumerate(choice.tolist())), config.tree_node_budget // 8
+            )
             if refined is not None:
-                found.append(polish(problem, chosen_options(problem, refined)))
+                found.append(polish(problem, problem.separations.best(refined)))
         best = min((z for z in found if z is not None), key=problem.objective, default=None)
         better = best is not None and problem.objective(best) < search.objective - _WORTH * abs(
             search.objective
@@ -276,7 +283,7 @@ def _prove(search: _Search, config: CorridorsConfig, big_m: float | None) -> Non
         found = run.status in (SolveStatus.OPTIMAL, SolveStatus.FEASIBLE)
         if found:
             relaxed = milp.solution()
-            better = polish(problem, chosen_options(problem, relaxed))
+            better = polish(problem, problem.separations.best(relaxed))
             search.offer(better, f"outer approximation, round {round_}")
             new = milp.add_tangents(relaxed) + (0 if better is None else milp.add_tangents(better))
         search.record(
@@ -313,7 +320,7 @@ def _relax(search: _Search) -> None:
     """Bound eq. (4) by the QP without disjunctions: fast mode's bound, and exact where there are none."""
     began = time.perf_counter()
     z = polish(search.problem, None)
-    if z is not None and not search.problem.disjunctions:
+    if z is not None and not len(search.problem.separations):
         search.offer(z, "joint polish")
     if z is not None:
         objective = search.problem.objective(z)
@@ -332,11 +339,11 @@ def _finite(value: float) -> float | None:
     return value if np.isfinite(value) else None
 
 
-def _conflict_text(conflict: Disjunction) -> str:
-    return (
-        f"{conflict.first} and {conflict.second} cannot be separated in time unit {conflict.unit} "
-        f"({conflict.equation})"
-    )
+def _conflict_text(problem: CorridorProblem, separation: int) -> str:
+    first, second = problem.pair(separation)
+    equation = "eq. (6)" if problem.separations.obstacle[separation] else "eq. (5)"
+    unit = int(problem.separations.unit[separation])
+    return f"{first} and {second} cannot be separated in time unit {unit} ({equation})"
 
 
 def _cramped(problem: CorridorProblem) -> list[tuple[str, int]]:

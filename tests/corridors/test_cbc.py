@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import pyomo.environ as pyo
@@ -55,8 +56,9 @@ def test_node_counts_repeat() -> None:
 
 
 def test_a_log_without_a_result_is_an_error() -> None:
-    with pytest.raises(SolveError, match="without a result"):
-        cbc.read_log("Welcome to the CBC MILP Solver\n")
+    run = cbc.read_log("Welcome to the CBC MILP Solver\n")
+    assert (run.status, run.bound) == (SolveStatus.ERROR, None)
+    assert "without a result" in run.detail
 
 
 def test_a_bound_read_from_the_log_is_moved_outward() -> None:
@@ -79,12 +81,38 @@ def test_a_missing_binary_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Pa
     cbc.executable.cache_clear()
 
 
-def test_a_solver_that_dies_is_an_error(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    broken = tmp_path / "cbc"
-    broken.write_text("#!/bin/sh\necho 'Version 2.10.0'\nkill -9 $$\n")
-    broken.chmod(0o755)
+@pytest.fixture
+def fake_cbc(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Callable[[str], None]]:
+    """Put a shell script in CBC's place."""
+
+    def put(script: str) -> None:
+        fake = tmp_path / "cbc"
+        fake.write_text("#!/bin/sh\n" + script)
+        fake.chmod(0o755)
+        cbc.executable.cache_clear()
+        monkeypatch.setattr(cbc.cbcbox, "cbc_bin_path", lambda: str(fake))
+
+    yield put
     cbc.executable.cache_clear()
-    monkeypatch.setattr(cbc.cbcbox, "cbc_bin_path", lambda: str(broken))
-    with pytest.raises(SolveError):
-        solve(knapsack())
-    cbc.executable.cache_clear()
+
+
+def test_a_solver_that_is_killed_is_told_so(fake_cbc: Callable[[str], None]) -> None:
+    fake_cbc("echo 'Result - Optimal solution found'; kill -9 $$\n")
+    run = solve(knapsack())
+    assert run.status is SolveStatus.ERROR
+    assert "killed by signal 9" in run.detail
+
+
+def test_a_solver_that_fails_is_told_so(fake_cbc: Callable[[str], None]) -> None:
+    fake_cbc("exit 3\n")
+    assert solve(knapsack()).detail == "CBC failed with exit code 3"
+
+
+def test_a_solver_that_does_not_stop_is_stopped(
+    fake_cbc: Callable[[str], None], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fake_cbc("exec sleep 60\n")
+    monkeypatch.setattr(cbc, "_START_S", 0.2)
+    run = cbc.solve(knapsack(), gap=0.0, node_budget=10, emergency_stop_s=0.1)
+    assert run.status is SolveStatus.LIMIT
+    assert "did not stop" in run.detail

@@ -12,14 +12,14 @@ import pytest
 
 from istc_replay.corridors.conflict_tree import search
 from istc_replay.corridors.polish import polish
-from istc_replay.corridors.problem import CorridorProblem, OptionTable
+from istc_replay.corridors.problem import CorridorProblem
 
 
 def brute_force(problem: CorridorProblem) -> float:
     """Least eq. (3) over every combination of options, one QP each, by another solver (PIQP)."""
     pivots_only = replace(problem, linear=np.zeros(problem.size))
     best = np.inf
-    for choice in product(*(range(len(d.options)) for d in problem.disjunctions)):
+    for choice in product(*(np.flatnonzero(row) for row in problem.separations.possible)):
         z = polish(pivots_only, choice)
         if z is not None:
             best = min(best, pivots_only.objective(z))
@@ -34,7 +34,7 @@ def cost(problem: CorridorProblem, z: np.ndarray) -> float:
 @pytest.mark.parametrize("seed", [1, 4, 6])
 def test_the_tree_finds_what_brute_force_finds(seed: int, crossing: Callable[..., Any]) -> None:
     problem = crossing(seed, vehicles=2, units=3).problem()
-    assert 0 < len(problem.disjunctions) <= 4
+    assert 0 < len(problem.separations) <= 4
     found = search(problem, 4000)
     exact = brute_force(problem)
     assert found.exhausted
@@ -87,7 +87,7 @@ def test_a_found_solution_has_no_conflict_among_obstacles(crossing: Callable[...
     problem = crossing(3, vehicles=3, units=5, obstacle=True).problem()
     found = search(problem, 1500)
     assert found.z is not None
-    assert OptionTable.of(problem.disjunctions).slack(found.z).max(axis=1).min() >= -1e-5
+    assert problem.separations.slack(found.z).max(axis=1).min() >= -1e-5
 
 
 def test_the_same_problem_takes_the_same_nodes(crossing: Callable[..., Any]) -> None:

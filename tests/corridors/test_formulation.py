@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from istc_replay.corridors.conflict_tree import search
 from istc_replay.corridors.formulation import car_box_m
-from istc_replay.corridors.problem import CorridorProblem, Limits, OptionTable
+from istc_replay.corridors.problem import CorridorProblem, Limits
 
 
 @settings(max_examples=100, deadline=None)
@@ -31,10 +31,8 @@ def test_the_car_box_holds_the_car_at_every_heading_within_the_slack(
 def violation(problem: CorridorProblem, z: np.ndarray) -> float:
     """Largest violation of bounds and rows at z."""
     worst = max(float((problem.lower - z).max()), float((z - problem.upper).max()))
-    for row in problem.rows:
-        value = float(np.dot(row.weight, z[list(row.index)]))
-        worst = max(worst, row.lower - value, value - row.upper)
-    return worst
+    value = problem.rows.value(z)
+    return max(worst, float((problem.rows.lower - value).max()), float((value - problem.rows.upper).max()))
 
 
 def test_the_guidance_itself_meets_every_row_that_always_holds(intersection: Callable[..., Any]) -> None:
@@ -51,8 +49,8 @@ def test_the_trees_corridors_meet_every_row_and_disjunction(seed: int, crossing:
         assert found.exhausted
         return
     assert violation(problem, found.z) <= 1e-6
-    if problem.disjunctions:
-        assert OptionTable.of(problem.disjunctions).slack(found.z).max(axis=1).min() >= -1e-5
+    if len(problem.separations):
+        assert problem.separations.slack(found.z).max(axis=1).min() >= -1e-5
 
 
 def test_random_walks_within_the_limits_stay_within_the_reachable_bounds(
@@ -60,13 +58,16 @@ def test_random_walks_within_the_limits_stay_within_the_reachable_bounds(
 ) -> None:
     problem = crossing(3, vehicles=2).problem()
     random = np.random.default_rng(0)
-    rows = [r for r in problem.rows if r.equation == "eq. (12)"]
+    rows = problem.rows
+    names, counts = zip(*rows.families, strict=True)
+    steps = np.repeat(names, counts) == "eq. (12)"
     found = 0
     for _ in range(4000):
         z = problem.least_cubes(
             problem.reference + random.normal(0.0, 0.4, problem.size) * (problem.quadratic > 0)
         )
-        kept = all(r.lower <= np.dot(r.weight, z[list(r.index)]) <= r.upper for r in rows)
+        value = rows.value(z)
+        kept = np.all(((rows.lower <= value) & (value <= rows.upper))[steps])
         if kept:
             found += 1
             pivots = problem.pivot_indices

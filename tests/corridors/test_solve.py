@@ -25,19 +25,22 @@ def scip_optimum(problem: CorridorProblem) -> float:
     z = [
         model.addVar(lb=float(lo), ub=float(hi)) for lo, hi in zip(problem.lower, problem.upper, strict=True)
     ]
-    for row in problem.rows:
-        expression = scip.quicksum(w * z[i] for i, w in zip(row.index, row.weight, strict=True))
-        if np.isfinite(row.lower):
-            model.addCons(expression >= row.lower)
-        if np.isfinite(row.upper):
-            model.addCons(expression <= row.upper)
-    for disjunction in problem.disjunctions:
+    rows = problem.rows
+    for index, weight, lower, upper in zip(rows.index, rows.weight, rows.lower, rows.upper, strict=True):
+        expression = scip.quicksum(float(w) * z[i] for i, w in zip(index, weight, strict=True) if w != 0.0)
+        if np.isfinite(lower):
+            model.addCons(expression >= float(lower))
+        if np.isfinite(upper):
+            model.addCons(expression <= float(upper))
+    table = problem.separations
+    for d in range(len(table)):
         taken = []
-        for option in disjunction.options:
-            larger = 0.0 if option.larger == CONSTANT else z[option.larger]
-            smaller = 0.0 if option.smaller == CONSTANT else z[option.smaller]
+        for o in np.flatnonzero(table.possible[d]):
+            larger, smaller = (
+                0.0 if i == CONSTANT else z[i] for i in (int(table.larger[d, o]), int(table.smaller[d, o]))
+            )
             binary = model.addVar(vtype="B")
-            model.addConsIndicator(smaller - larger <= -option.gap, binvar=binary)
+            model.addConsIndicator(smaller - larger <= -float(table.gap[d, o]), binvar=binary)
             taken.append(binary)
         model.addCons(scip.quicksum(taken) >= 1)
     cost = model.addVar(lb=None)
