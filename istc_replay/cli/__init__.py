@@ -15,6 +15,7 @@ from istc_replay import __version__, tell
 from istc_replay.cli.audit import audit
 from istc_replay.cli.bench import bench
 from istc_replay.cli.clip import clip
+from istc_replay.cli.compare import compare
 from istc_replay.cli.config import config
 from istc_replay.cli.export import export
 from istc_replay.cli.figures import figures
@@ -76,5 +77,8 @@ def cli() -> None:
     """
 
 
-for _command in (run, info, audit, view, figures, export, clip, merge, recover, sample, bench, config):
+for _command in (
+    *(run, info, audit, view, figures, compare, export),
+    *(clip, merge, recover, sample, bench, config),
+):
     cli.add_command(_command)

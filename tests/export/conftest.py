@@ -1,9 +1,11 @@
-"""Fixtures of the Rerun view's tests: the view in a file, and its rows by entity."""
+"""Fixtures of the outputs' tests: the view in a file and its rows, a hostile result, a browser."""
 
 from __future__ import annotations
 
+import shutil
 from collections import defaultdict
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -14,6 +16,12 @@ from istc_replay.config import ViewConfig
 from istc_replay.datatypes import Result
 
 Rows = list[dict[str, Any]]
+
+NASTY = {
+    "car 1": "<script>alert(1)</script>",
+    "car 2": "x\" onload='alert(2)' \u202e\u200f\n</svg><img src=//evil.example/x>",
+    "car 3": "&lt;b&gt;]]>-->" + "X" * 10_000,
+}
 
 
 @pytest.fixture
@@ -68,3 +76,73 @@ def view_of(
     from istc_replay.export.rerun_view import view_chunks
 
     return lambda result: rows_by_entity(view_chunks(result, ViewConfig()))
+
+
+def _renamed(result: Result, new_names: dict[str, str]) -> Result:
+    """The same result of vehicles by other names, in its tables and in its summary."""
+
+    def rename(value: Any) -> Any:
+        if isinstance(value, str):
+            return new_names.get(value, value)
+        if isinstance(value, list):
+            return [rename(part) for part in value]
+        if isinstance(value, dict):
+            return {key: rename(part) for key, part in value.items()}
+        return value
+
+    ids = pl.col("vehicle_id").replace(new_names)
+    vehicles = pl.col("vehicles").list.eval(pl.element().replace(new_names))
+    return replace(
+        result,
+        states=result.states.with_columns(ids),
+        corridors=result.corridors.with_columns(ids),
+        solves=result.solves.with_columns(ids),
+        certificates=result.certificates.with_columns(vehicles),
+        summary=rename(result.summary),
+    )
+
+
+@pytest.fixture(scope="session")
+def hostile_result(synthetic_result: Result) -> Result:
+    """A result whose every string is hostile: ids, paths, reasons, versions, settings."""
+    hostile = _renamed(synthetic_result, NASTY)
+    left = {"vehicle_id": NASTY["car 2"] + "7", "reason": "<i>why</i>", "detail": NASTY["car 2"]}
+    problem = {"code": "<u>code</u>", "detail": NASTY["car 1"], "offset": 12}
+    first, *others = hostile.summary["windows"]
+    source = {"path": "/logs/" + NASTY["car 1"], "sha256": "<s>", "complete": False, "problems": [problem]}
+    summary = hostile.summary | {
+        "input": source,
+        "versions": {"<b>part</b>": "<b>1</b>"},
+        "windows": [first | {"exclusions": [left], "reason": NASTY["car 1"]}, *others],
+    }
+    config = "# </code></pre><script>alert(3)</script> \ud800\n[window]\nunit_s = 1.0\n"
+    return replace(hostile, summary=summary, config_toml=config)
+
+
+@pytest.fixture(scope="session")
+def moved_result() -> Callable[[Result], Result]:
+    """Give the same result with plans a metre to the north, another setting and another version."""
+
+    def moved(result: Result) -> Result:
+        planned = pl.col("source") == "planned"
+        states = result.states.with_columns(y_m=pl.col("y_m") + pl.when(planned).then(1.0).otherwise(0.0))
+        summary = result.summary | {"versions": {"istc-replay": "<i>2</i>"}}
+        settings = "[corridors]\ngap_max = 0.5\n"
+        return replace(result, states=states, summary=summary, config_toml=settings)
+
+    return moved
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Any]:
+    """Chromium without a window; nothing of it goes to another host."""
+    playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    found = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))), None)
+    with playwright.sync_playwright() as driver:
+        own = Path(driver.chromium.executable_path)
+        if found is None and not own.exists():
+            pytest.skip("no Chromium: install it, or run `playwright install chromium`")
+        options = ["--no-sandbox", "--host-resolver-rules=MAP * ~NOTFOUND"]
+        launched = driver.chromium.launch(executable_path=None if own.exists() else found, args=options)
+        yield launched
+        launched.close()

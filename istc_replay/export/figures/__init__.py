@@ -14,7 +14,8 @@ from matplotlib.figure import Figure
 
 from istc_replay.datatypes import Result
 from istc_replay.export.figures.closest import closest_pair
-from istc_replay.export.figures.plan_view import draw_filmstrip, draw_top_down
+from istc_replay.export.figures.filmstrip import draw_filmstrip
+from istc_replay.export.figures.plan_view import draw_top_down
 from istc_replay.export.figures.profiles import draw_separation, draw_speed_acceleration, speed_pages
 from istc_replay.export.figures.space_time import PANELS, draw_all_corridors, draw_own_corridors
 from istc_replay.export.figures.style import drawing_style

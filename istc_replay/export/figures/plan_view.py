@@ -1,4 +1,4 @@
-"""Seen from above: trajectories, recorded beside planned, and a filmstrip of the conflict."""
+"""Seen from above: trajectories, recorded beside planned."""
 
 from __future__ import annotations
 
@@ -31,15 +31,12 @@ from istc_replay.export.figures.tracks import Track, WindowScene
 #: View: x from, x to, y from, y to [m].
 View = tuple[float, float, float, float]
 
-_WIDTH_IN = 9.9
-_FRAMES = 6
-#: Half the side of a filmstrip's frame: at least this, else what is driven in this time up to that.
-_NEAR_M, _NEAR_S, _FAR_M = 14.0, 1.2, 40.0
+WIDTH_IN = 9.9
 _TICK_M = 0.9
 _LABELS = 60
 _SCALES_M = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 #: Vehicles nearer than this are ringed [m].
-_CLOSE_M = 4.0
+CLOSE_M = 4.0
 _PLANNED: dict[str, Any] = {"linestyle": "-", "linewidth": 1.8}
 _RECORDED: dict[str, Any] = {"linestyle": (0, (4, 1.8)), "linewidth": 1.3}
 
@@ -49,15 +46,15 @@ def draw_top_down(scene: WindowScene, recorded: ClosestPair | None) -> Figure:
 
     The boxes stand where the vehicles are when the recording brings two of them closest.
     """
-    panels = [("recorded", scene.recorded, _RECORDED)]
+    panels = [(scene.names[0], scene.recorded, _RECORDED)]
     if scene.has_plan:
-        panels.append(("planned", scene.planned, _PLANNED))
+        panels.append((scene.names[1], scene.planned, _PLANNED))
     view = _view(scene)
     styles = [scene.styles[name] for name in scene.recorded | scene.planned]
     figure, all_axes = _top_down_axes(len(panels), (view[3] - view[2]) / (view[1] - view[0]), styles)
     for axes, (title, tracks, look) in zip(all_axes, panels, strict=True):
-        _set_view(axes, view)
-        _draw_ground(axes, scene)
+        set_view(axes, view)
+        draw_ground(axes, scene)
         for name, track in tracks.items():
             _draw_path(axes, scene, name, track, look)
         # What has no plan moves as it was recorded, and the plan keeps clear of it.
@@ -67,9 +64,9 @@ def draw_top_down(scene: WindowScene, recorded: ClosestPair | None) -> Figure:
         _label_seconds(axes, scene, tracks | others)
         axes.set_title(title)
         if recorded is not None:
-            _draw_boxes(axes, scene, tracks | others, recorded.time_s, filled=True)
+            draw_boxes(axes, scene, tracks | others, recorded.time_s, filled=True)
             axes.set_title(f"{title}; boxes at {recorded.time_s:.2f} s")
-            if recorded.least_m < _CLOSE_M:
+            if recorded.least_m < CLOSE_M:
                 axes.plot(*recorded.place_m, "o", markersize=30, mfc="none", markeredgecolor=CONTACT)
         _draw_scale(axes)
     foot_legend(figure, styles, [(title, look) for title, _, look in panels])
@@ -81,81 +78,19 @@ def _top_down_axes(panels: int, ratio: float, styles: list[VehicleStyle]) -> tup
     """Lay panels of a height to width ratio side by side, or below each other where they are flat."""
     columns = 2 if panels == 2 and ratio > 0.55 else 1
     rows = panels // columns
-    width_in = min(_WIDTH_IN * (0.97 / columns) - 0.62, 6.2 / ratio)
+    width_in = min(WIDTH_IN * (0.97 / columns) - 0.62, 6.2 / ratio)
     height_in = width_in * ratio
     foot_in, head_in, between_in = 0.5 + foot_height_in(styles), 0.3, 0.65
     total_in = foot_in + rows * (height_in + head_in) + (rows - 1) * between_in
-    figure = new_figure(_WIDTH_IN, total_in)
+    figure = new_figure(WIDTH_IN, total_in)
     all_axes = []
     for index in range(panels):
         row, column = divmod(index, columns)
         left_in = 0.6 + column * (width_in + 0.62)
         bottom_in = foot_in + (rows - 1 - row) * (height_in + head_in + between_in)
-        place = (left_in / _WIDTH_IN, bottom_in / total_in, width_in / _WIDTH_IN, height_in / total_in)
+        place = (left_in / WIDTH_IN, bottom_in / total_in, width_in / WIDTH_IN, height_in / total_in)
         all_axes.append(figure.add_axes(place))
     return figure, all_axes
-
-
-def draw_filmstrip(scene: WindowScene, conflict: ClosestPair) -> Figure:
-    """Draw instants about the closest approach of the recording: cubes, planned and recorded boxes."""
-    speed_mps = max(_speed(scene.recorded[name], conflict.time_s) for name in conflict.pair)
-    reach = max(_NEAR_M, 3.0 * max(scene.recorded[name].length_m for name in conflict.pair))
-    reach = max(reach, min(_NEAR_S * speed_mps, _FAR_M))
-    # Fast vehicles cross the picture soon: more of it is shown, in shorter steps.
-    step_s = min(max(scene.unit_s, scene.duration_s / 12.0), max(0.4 * reach / max(speed_mps, 0.1), 0.2))
-    times_s = _instants(conflict.time_s, step_s, scene.duration_s)
-    x, y = conflict.place_m
-    columns, rows = 3, ceil(_FRAMES / 3)
-    side = (_WIDTH_IN - 0.9) / columns - 0.15
-    styles = [scene.styles[name] for name in scene.recorded | scene.planned]
-    foot_in = 0.5 + foot_height_in(styles)
-    total_in = rows * (side + 0.35) + foot_in
-    figure = new_figure(_WIDTH_IN, total_in)
-    for index, time_s in enumerate(times_s):
-        row, column = divmod(index, columns)
-        left_in = 0.6 + column * (side + 0.25)
-        bottom_in = foot_in + (rows - 1 - row) * (side + 0.35)
-        axes = figure.add_axes((left_in / _WIDTH_IN, bottom_in / total_in, side / _WIDTH_IN, side / total_in))
-        _set_view(axes, (x - reach, x + reach, y - reach, y + reach))
-        if row < rows - 1:
-            axes.set(xlabel="", xticklabels=[])
-        if column:
-            axes.set(ylabel="", yticklabels=[])
-        _draw_ground(axes, scene)
-        _draw_cubes(axes, scene, float(time_s))
-        _draw_boxes(axes, scene, scene.recorded, float(time_s), filled=False)
-        _draw_boxes(axes, scene, scene.planned, float(time_s), filled=True)
-        closest = time_s == conflict.time_s
-        axes.set_title(f"t = {time_s:.2f} s" + (", closest as recorded" if closest else ""))
-        if closest and conflict.least_m < _CLOSE_M:
-            axes.plot(x, y, "o", markersize=30, mfc="none", markeredgecolor=CONTACT)
-    meaning: list[tuple[str, dict[str, Any]]] = [
-        ("box as recorded", {"linestyle": (0, (2, 1.2)), "linewidth": 1.1})
-    ]
-    if scene.has_plan:
-        planned: list[tuple[str, dict[str, Any]]] = [("box as planned", {"linewidth": 5, "alpha": 0.6})]
-        meaning = [*planned, *meaning, ("corridor-cube", {"linewidth": 0.8})]
-    foot_legend(figure, styles, meaning)
-    origin_note(figure, scene.origin_m, at_top=True)
-    return figure
-
-
-def _instants(time_s: float, step_s: float, duration_s: float) -> FloatArray:
-    """The frames' instants, `time_s` among them: two before it if the window has room."""
-    step_s = min(step_s, duration_s / (_FRAMES - 1))
-    most_before = time_s / step_s
-    least_before = _FRAMES - 1 - (duration_s - time_s) / step_s
-    before = int(np.clip(np.ceil(max(least_before - 1e-9, 2.0)), 0, np.floor(most_before + 1e-9)))
-    times_s = time_s + step_s * (np.arange(_FRAMES) - before)
-    return np.asarray(np.clip(times_s, 0.0, duration_s))
-
-
-def _speed(track: Track, time_s: float) -> float:
-    """Mean speed over the half seconds about a time, as far as the track reaches [m/s]."""
-    times_s = np.clip([time_s - 0.5, time_s + 0.5], track.times_s[0], track.times_s[-1])
-    before, after = track.at(times_s)[:, :2]
-    moved_m = float(np.hypot(*(after - before)))
-    return moved_m / float(times_s[1] - times_s[0]) if moved_m > 0.0 else 0.0
 
 
 def _view(scene: WindowScene) -> View:
@@ -173,11 +108,11 @@ def _view(scene: WindowScene) -> View:
     return float(low[0]), float(high[0]), float(low[1]), float(high[1])
 
 
-def _set_view(axes: Axes, view: View) -> None:
+def set_view(axes: Axes, view: View) -> None:
     axes.set(xlim=view[:2], ylim=view[2:], xlabel="x [m]", ylabel="y [m]", aspect="equal")
 
 
-def _draw_ground(axes: Axes, scene: WindowScene) -> None:
+def draw_ground(axes: Axes, scene: WindowScene) -> None:
     if len(scene.lanes_m):
         axes.plot(*scene.lanes_m.T, color=GRID, linewidth=3.0, zorder=0.6)
     if len(scene.standing_m):
@@ -255,7 +190,7 @@ def _label_seconds(axes: Axes, scene: WindowScene, tracks: dict[str, Track]) -> 
                 )
 
 
-def _draw_boxes(
+def draw_boxes(
     axes: Axes, scene: WindowScene, tracks: dict[str, Track], time_s: float, *, filled: bool
 ) -> None:
     """Draw all vehicles' boxes at one instant with their noses marked."""
@@ -291,23 +226,6 @@ def _draw_boxes(
         LineCollection(list(noses), colors=INK if filled else colours, linewidths=0.8, zorder=3),
         autolim=False,
     )
-
-
-def _draw_cubes(axes: Axes, scene: WindowScene, time_s: float) -> None:
-    outlines, colours = [], []
-    shapes = [(scene.styles[name].colour, shape) for name, shape in scene.corridors.items()]
-    for colour, shape in shapes + [(MUTED, shape) for shape in scene.obstacles]:
-        # At the instant between two cubes the one that begins is shown.
-        now = (shape.spans_s[:, 0] <= time_s + 1e-9) & (time_s + 1e-9 < shape.spans_s[:, 1])
-        now |= (shape.spans_s[:, 1] == shape.spans_s[:, 1].max()) & (abs(time_s - shape.spans_s[:, 1]) < 1e-9)
-        outlines += list(shape.outlines_m[now])
-        colours += [colour] * int(now.sum())
-    if outlines:
-        fills = [to_rgba(colour, 0.1) for colour in colours]
-        axes.add_collection(
-            PolyCollection(outlines, facecolors=fills, edgecolors=colours, linewidths=0.8, zorder=2),
-            autolim=False,
-        )
 
 
 def _draw_scale(axes: Axes) -> None:

@@ -70,8 +70,8 @@ def draw_speed_acceleration(scene: WindowScene, page: int = 0) -> Figure:
 
 
 def _meaning(scene: WindowScene, limited: bool) -> list[tuple[str, dict[str, Any]]]:
-    planned = [("planned", _PLANNED)] if scene.planned else []
-    return [*planned, ("recorded", _RECORDED), *([("limit of the plan", _LIMIT)] if limited else [])]
+    planned = [(scene.names[1], _PLANNED)] if scene.planned else []
+    return [*planned, (scene.names[0], _RECORDED), *([("limit of the plan", _LIMIT)] if limited else [])]
 
 
 def _draw_panels(scene: WindowScene, page: int) -> Figure:
@@ -176,8 +176,8 @@ def draw_separation(scene: WindowScene, recorded: ClosestPair | None, planned: C
     figure = new_figure(9.9, 3.6)
     axes = figure.add_axes((0.065, 0.13, 0.915, 0.74))
     looks = (
-        ("recorded", recorded, {**_RECORDED, "linewidth": 1.4, "color": MUTED, "marker": "v"}),
-        ("planned", planned, {"linewidth": 2.0, "color": INK, "marker": "^"}),
+        (scene.names[0], recorded, {**_RECORDED, "linewidth": 1.4, "color": MUTED, "marker": "v"}),
+        (scene.names[1], planned, {"linewidth": 2.0, "color": INK, "marker": "^"}),
     )
     shown = [(name, pair, look) for name, pair, look in looks if pair is not None]
     for _, pair, look in shown:

@@ -23,6 +23,8 @@ from istc_replay.export.figures.style import (
     PAPER,
     SIDE_ENTRIES,
     VehicleStyle,
+    foot_height_in,
+    foot_legend,
     line_legend,
     new_figure,
     origin_note,
@@ -49,23 +51,48 @@ _RECORDED: dict[str, Any] = {"linewidth": 1.0, "linestyle": (0, (4, 2))}
 def draw_all_corridors(scene: WindowScene) -> Figure:
     """Draw the corridors of all vehicles with their pivotal points, as the paper's Fig. 5."""
     figure = new_figure(9.0, 5.6)
-    axes = _space_time_axes(figure, (0.02, 0.08, 0.80, 0.91), scene, scene.corridors.values())
+    _draw_corridors(figure, (0.02, 0.08, 0.80, 0.91), scene, list(scene.corridors.values()))
+    shown = [scene.styles[name] for name in scene.corridors]
+    vehicle_legend(figure, shown, SIDE_ENTRIES, loc="upper right", bbox_to_anchor=(1.0, 0.99))
+    line_legend(figure, _meaning([scene]), loc="lower right", bbox_to_anchor=(1.0, 0.03))
+    origin_note(figure, scene.origin_m, at_top=False)
+    return figure
+
+
+def draw_corridors_beside(scenes: tuple[WindowScene, WindowScene], names: tuple[str, str]) -> Figure:
+    """Draw the corridors of two results in axes of the same extent, seen from the same side."""
+    styles = [scenes[0].styles[name] for name in scenes[0].corridors | scenes[1].corridors]
+    foot_in = 0.35 + foot_height_in(styles)
+    height_in = 4.6 + foot_in
+    figure = new_figure(9.9, height_in)
+    shapes = [shape for scene in scenes for shape in scene.corridors.values()]
+    for left, scene, name in zip((0.0, 0.5), scenes, names, strict=True):
+        place = (left + 0.02, (foot_in + 0.3) / height_in, 0.41, 4.0 / height_in)
+        _draw_corridors(figure, place, scene, shapes)
+        figure.text(left + 0.02, 0.985, name, va="top", fontsize=9.5)
+    foot_legend(figure, styles, _meaning(scenes))
+    origin_note(figure, scenes[0].origin_m, at_top=True)
+    return figure
+
+
+def _draw_corridors(figure: Figure, place: Place, scene: WindowScene, shapes: list[CorridorShape]) -> None:
+    """Draw a scene's corridors in axes that hold `shapes`."""
+    axes = _space_time_axes(figure, place, scene, shapes)
     _draw_floor(axes, scene.lanes_m)
     _draw_prisms(
         axes, [(scene.styles[name], shape) for name, shape in scene.corridors.items()], scene.obstacles
     )
     for name, shape in scene.corridors.items():
         _draw_pivots(axes, shape, scene.styles[name], named=len(scene.corridors) <= NAMED)
-    shown = [scene.styles[name] for name in scene.corridors]
-    vehicle_legend(figure, shown, SIDE_ENTRIES, loc="upper right", bbox_to_anchor=(1.0, 0.99))
+
+
+def _meaning(scenes: Iterable[WindowScene]) -> list[tuple[str, dict[str, Any]]]:
     meaning: list[tuple[str, dict[str, Any]]] = [("pivotal points", {"marker": "o", "markersize": 4})]
-    if len(scene.lanes_m):
+    if any(len(scene.lanes_m) for scene in scenes):
         meaning.append(("lanes (on the floor)", {"color": GRID, "linewidth": 2.5}))
-    if scene.obstacles:
+    if any(scene.obstacles for scene in scenes):
         meaning.append(("obstacles", {"color": MUTED, "linewidth": 5, "alpha": 0.6}))
-    line_legend(figure, meaning, loc="lower right", bbox_to_anchor=(1.0, 0.03))
-    origin_note(figure, scene.origin_m, at_top=False)
-    return figure
+    return meaning
 
 
 def draw_own_corridors(scene: WindowScene, page: int = 0) -> Figure:

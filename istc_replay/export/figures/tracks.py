@@ -85,6 +85,7 @@ class CorridorShape:
 class WindowScene:
     """All that the pictures of one window show, in the map frame moved by `origin_m`.
 
+    `names` are what the two motions of each vehicle are called: `recorded` and `planned` hold them.
     `lanes_m` (P, 2) has a NaN row after each lane line; `standing_m` (O, 4, 2) are the true
     outlines of standing obstacles.
     """
@@ -103,6 +104,7 @@ class WindowScene:
     lanes_m: FloatArray
     standing_m: FloatArray
     config: Config
+    names: tuple[str, str] = ("recorded", "planned")
 
     @property
     def compared(self) -> tuple[dict[str, Track], dict[str, Track]]:
@@ -133,8 +135,8 @@ def window_summary(result: Result, window: int) -> dict[str, Any]:
     raise UsageError(f"window {window} is not in the result; its windows begin {known or 'nowhere'}")
 
 
-def window_scene(result: Result, window: int) -> WindowScene:
-    """Gather what the pictures of one window show."""
+def window_scene(result: Result, window: int, origin_m: tuple[float, float] | None = None) -> WindowScene:
+    """Gather what the pictures of one window show, about an origin of its own if none is given."""
     entry = window_summary(result, window)
     start_ns, end_ns = int(entry["start_ns"]), int(entry["end_ns"])
     has_plan = entry.get("status") in PLANNED
@@ -146,7 +148,7 @@ def window_scene(result: Result, window: int) -> WindowScene:
         pl.col("x_m").abs() < _FAR_M,
         pl.col("y_m").abs() < _FAR_M,
     )
-    origin_m = _origin(states)
+    origin_m = _origin(states) if origin_m is None else origin_m
     try:
         config = parse_config(result.config_toml)
     except ConfigError:

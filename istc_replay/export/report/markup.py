@@ -148,8 +148,19 @@ def table(
         )
         for row in rows
     ]
-    whole = element("table", element("caption", caption), element("thead", head), element("tbody", body))
-    return element("div", whole, class_="wide")
+    return scrolled(
+        element("table", element("caption", caption), element("thead", head), element("tbody", body)), "Table"
+    )
+
+
+def scrolled(content: Content, label: str) -> Html:
+    """Content that may be wider than the screen: it scrolls by itself, by finger and by key."""
+    return element("div", content, class_="wide", role="group", tabindex="0", aria_label=label)
+
+
+def captioned(svg: Html, caption: Content) -> Html:
+    """A picture with its caption."""
+    return element("figure", scrolled(svg, "Picture"), element("figcaption", caption))
 
 
 def facts(pairs: Iterable[tuple[str, Content]]) -> Html:

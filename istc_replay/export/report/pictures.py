@@ -6,7 +6,7 @@ import re
 
 from istc_replay.export.figures import WindowScene, draw_scene, figure_bytes
 from istc_replay.export.figures.space_time import PANELS
-from istc_replay.export.report.markup import Html, element, join, names, number, visible
+from istc_replay.export.report.markup import Html, captioned, element, join, names, number, visible
 from istc_replay.export.report.page import THEME
 
 _TAG = re.compile(r"<[^>]*>")
@@ -57,7 +57,7 @@ def window_pictures(scene: WindowScene) -> Html:
             svg = inline_svg(
                 figure_bytes(figures[picture], "svg"), f"w{index}-{picture}", _alternative(picture, scene)
             )
-            shown.append(element("figure", svg, element("figcaption", caption)))
+            shown.append(captioned(svg, caption))
     return join([element("h3", "Pictures"), shown]) if shown else join(())
 
 

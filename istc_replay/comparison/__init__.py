@@ -1,0 +1,1 @@
+"""Two results side by side: what moved, who goes before whom, by how much."""

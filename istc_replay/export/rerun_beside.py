@@ -1,0 +1,119 @@
+"""Two results in one Rerun recording, side by side: each under its own root, with one layout."""
+
+from __future__ import annotations
+
+import hashlib
+from pathlib import Path
+
+import rerun as rr
+import rerun.blueprint as rrb
+from rerun.chunk import Chunk
+
+from istc_replay.comparison.difference import Comparison
+from istc_replay.comparison.words import sentences
+from istc_replay.config import parse_config
+from istc_replay.datatypes import Result
+from istc_replay.export.atomic import atomic_file
+from istc_replay.export.rerun_text import escaped
+from istc_replay.export.rerun_view import recording_id, view_chunks
+
+APPLICATION_ID = "istc-replay-compare"
+#: Lines of the text beside the views.
+_LINES = 400
+_SIDES = ("a", "b")
+
+
+def beside_chunks(comparison: Comparison, a: Result, b: Result) -> list[Chunk]:
+    """Lay two results out: `/a` and `/b` hold what a view of each holds, `/difference` says it in words.
+
+    Both count `scenario_time` from their own first windows.
+    """
+    chunks = [
+        chunk.with_entity_path(f"/{side}{chunk.entity_path}")
+        for side, result in zip(_SIDES, (a, b), strict=True)
+        for chunk in view_chunks(result, parse_config(result.config_toml).view)
+    ]
+    lines = [escaped(text) for text in sentences(comparison)]
+    more = [f"and {len(lines) - _LINES} more lines"] if len(lines) > _LINES else []
+    text = "\n".join(f"- {line}" for line in lines[:_LINES] + more)
+    document = rr.TextDocument.columns(text=[text], media_type=["text/markdown"])
+    return [*chunks, Chunk.from_columns("/difference", [], document)]
+
+
+def beside_blueprint() -> rrb.Blueprint:
+    """A on the left, B on the right: corridors above, the scenes, and speed below; the words between."""
+    return rrb.Blueprint(
+        rrb.Horizontal(
+            _side("a"),
+            rrb.TextDocumentView(name="what differs", origin="/difference", contents=["/difference/**"]),
+            _side("b"),
+            column_shares=[40, 20, 40],
+        ),
+        rrb.TimePanel(timeline="scenario_time", state="collapsed", play_state="paused", loop_mode="all"),
+        rrb.BlueprintPanel(state="collapsed"),
+        rrb.SelectionPanel(state="collapsed"),
+        auto_layout=False,
+        auto_views=False,
+    )
+
+
+def _side(side: str) -> rrb.Vertical:
+    root = f"/{side}"
+    tracks = [f"{root}/space_time/{part}/**" for part in ("shared", "planned")]
+    tracks += [f"{root}/{part}/**" for part in ("now/square", "now/planned/box", "camera")]
+    above = [f"{root}/now/{part}/**" for part in ("shared", "camera", "planned")]
+    name = side.upper()
+    return rrb.Vertical(
+        rrb.Spatial3DView(
+            name=f"{name}: corridors x-y-t",
+            origin=root,
+            contents=tracks,
+            eye_controls=rrb.EyeControls3D(tracking_entity=f"{root}/camera"),
+            line_grid=rrb.LineGrid3D(visible=True, stroke_width=0.5),
+        ),
+        rrb.Spatial3DView(
+            name=f"{name}: top-down",
+            origin=f"{root}/now",
+            contents=above,
+            eye_controls=rrb.EyeControls3D(tracking_entity=f"{root}/now/camera"),
+            line_grid=rrb.LineGrid3D(visible=False),
+        ),
+        rrb.Tabs(*(_plot(root, name, signal, unit) for signal, unit in _PLOTS)),
+        row_shares=[42, 33, 25],
+    )
+
+
+_PLOTS = (("speed", "m/s"), ("acceleration", "m/s²"), ("clearance", "m"))
+
+
+def _plot(root: str, name: str, signal: str, unit: str) -> rrb.TimeSeriesView:
+    plots = f"{root}/plots/{signal}"
+    return rrb.TimeSeriesView(
+        name=f"{name}: {signal} [{unit}]",
+        origin=plots,
+        contents=[f"{plots}/planned/**", f"{plots}/limit/**"],
+        axis_x=rrb.TimeAxis(link=rrb.components.LinkAxis.LinkToGlobal),
+        plot_legend=rrb.PlotLegend(rrb.Corner2D.RightBottom),
+    )
+
+
+def write_beside(comparison: Comparison, a: Result, b: Result, path: Path) -> None:
+    """Write both results and their layout as one .rrd file, whole or not at all.
+
+    Raises
+    ------
+    ConfigError
+        If a result's configuration cannot be read by this version.
+    ExportError
+        If the file cannot be written.
+    """
+    identity = hashlib.sha256(f"{recording_id(a)}\n{recording_id(b)}".encode()).hexdigest()[:32]
+    recording = rr.RecordingStream(
+        APPLICATION_ID, recording_id=identity, make_default=False, send_properties=False
+    )
+    memory = recording.memory_recording()
+    rr.send_blueprint(beside_blueprint(), make_active=False, make_default=True, recording=recording)
+    rr.send_recording_name("A beside B", recording=recording)
+    rr.send_chunks(beside_chunks(comparison, a, b), recording=recording)
+    with atomic_file(path) as temporary:
+        temporary.write_bytes(bytes(memory.drain_as_bytes()))
