@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from typing import Any
 
@@ -10,6 +11,7 @@ from istc_replay.comparison.difference import Change, Comparison, PairChange, Ve
 #: Shorter delays are not worth a word [s].
 _DELAY_S = 0.05
 _UNITS = {"m": "m", "m2": "m²", "mps": "m/s", "s": "s"}
+_HASH = re.compile("[0-9a-f]{64}")
 #: Differences of settings or versions listed.
 _MOST = 40
 
@@ -80,7 +82,12 @@ def value(figure: Any) -> str:
         return "none"
     if isinstance(figure, bool):
         return "yes" if figure else "no"
-    return f"{figure:.6g}" if isinstance(figure, float) else str(figure)
+    return f"{figure:.6g}" if isinstance(figure, float) else shortened(str(figure))
+
+
+def shortened(text: str) -> str:
+    """A hash by its beginning, any other text as it is."""
+    return text[:16] if _HASH.fullmatch(text) else text
 
 
 def order(pair: PairChange) -> str:
@@ -114,17 +121,20 @@ def moved(vehicle: VehicleChange) -> str:
 
 def _window(window: WindowChange) -> Iterator[str]:
     place = f"window {window.index}"
-    for change in window.figures:
-        yield f"{place}: {change.key}: {said(change)}"
-    for change in window.checks:
-        yield f"{place}: check {change.key}: {said(change)}"
     for vehicle in window.vehicles:
-        figures = "; ".join(f"{change.key}: {said(change)}" for change in vehicle.figures)
-        text = "; ".join(part for part in (moved(vehicle), figures) if part)
-        yield f"{place}: vehicle {vehicle.vehicle_id}: in B {text}"
+        text = moved(vehicle)
+        if text:
+            yield f"{place}: vehicle {vehicle.vehicle_id}: in B {text}"
     for pair in window.pairs:
         turned = "the other goes first: " if pair.reversed else ""
         yield f"{place}: {' and '.join(pair.pair)}: {turned}{order(pair)}"
+    for change in window.checks:
+        yield f"{place}: check {change.key}: {said(change)}"
+    for change in window.figures:
+        yield f"{place}: {change.key}: {said(change)}"
+    for vehicle in window.vehicles:
+        for change in vehicle.figures:
+            yield f"{place}: vehicle {vehicle.vehicle_id}: {change.key}: {said(change)}"
 
 
 def _count(number: int, what: str) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import replace
 from pathlib import Path
 
 import rerun as rr
@@ -13,6 +14,7 @@ from istc_replay.comparison.difference import Comparison
 from istc_replay.comparison.words import sentences
 from istc_replay.config import parse_config
 from istc_replay.datatypes import Result
+from istc_replay.errors import ConfigError
 from istc_replay.export.atomic import atomic_file
 from istc_replay.export.rerun_text import escaped
 from istc_replay.export.rerun_view import recording_id, view_chunks
@@ -30,7 +32,7 @@ def beside_chunks(comparison: Comparison, a: Result, b: Result) -> list[Chunk]:
     """
     chunks = [
         chunk.with_entity_path(f"/{side}{chunk.entity_path}")
-        for side, result in zip(_SIDES, (a, b), strict=True)
+        for side, result in zip(_SIDES, map(_readable, (a, b)), strict=True)
         for chunk in view_chunks(result, parse_config(result.config_toml).view)
     ]
     lines = [escaped(text) for text in sentences(comparison)]
@@ -38,6 +40,15 @@ def beside_chunks(comparison: Comparison, a: Result, b: Result) -> list[Chunk]:
     text = "\n".join(f"- {line}" for line in lines[:_LINES] + more)
     document = rr.TextDocument.columns(text=[text], media_type=["text/markdown"])
     return [*chunks, Chunk.from_columns("/difference", [], document)]
+
+
+def _readable(result: Result) -> Result:
+    """The result, with the default settings where those of another version cannot be read."""
+    try:
+        parse_config(result.config_toml)
+    except ConfigError:
+        return replace(result, config_toml="")
+    return result
 
 
 def beside_blueprint() -> rrb.Blueprint:
@@ -102,8 +113,6 @@ def write_beside(comparison: Comparison, a: Result, b: Result, path: Path) -> No
 
     Raises
     ------
-    ConfigError
-        If a result's configuration cannot be read by this version.
     ExportError
         If the file cannot be written.
     """
