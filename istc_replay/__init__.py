@@ -1,7 +1,7 @@
 """istc-replay: replay recorded multi-vehicle logs with interactive spatio-temporal corridors.
 
-`read_states(path)`, `replay(path, config)` and `load_result(path)` do from Python what the
-commands do.
+`read_states(path)`, `replay(path, config)`, `audit(path_or_result)` and `load_result(path)` do from
+Python what the commands do.
 """
 
 from __future__ import annotations
@@ -14,6 +14,7 @@ if TYPE_CHECKING:
 
     from istc_replay.config import Config
     from istc_replay.datatypes import Result
+    from istc_replay.safety.log_audit import Audit
 
 __version__ = "0.1.0"
 
@@ -37,3 +38,13 @@ def load_result(path: str | Path) -> Result:
     from istc_replay.ingest.result import load_result_folder
 
     return load_result_folder(Path(path))
+
+
+def audit(source: str | Path | Result, config: Config | None = None) -> Audit:
+    """Audit a log or a result for safety; the audit holds its findings and all else as tables."""
+    from istc_replay.datatypes import Result
+    from istc_replay.pipeline.audit import audit_loaded, audit_path
+
+    if isinstance(source, Result):
+        return audit_loaded(source, config)
+    return audit_path(Path(source), config)

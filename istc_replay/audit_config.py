@@ -25,6 +25,7 @@ _ORDERED = (
     (("lateral_minor_mps2", "lateral_serious_mps2"), False),
     (("jerk_minor_mps3", "jerk_serious_mps3"), False),
     (("overspeed_minor_mps", "overspeed_serious_mps", "overspeed_critical_mps"), False),
+    (("off_corridor_minor_m", "off_corridor_serious_m", "off_corridor_critical_m"), False),
     (("delta_v_serious_mps", "delta_v_critical_mps"), False),
     (("rear_end_rad", "crossing_rad", "head_on_rad"), False),
 )
@@ -127,6 +128,12 @@ class AuditConfig(Section):
     """Above the limit by this (21 km/h, German catalogue of fines)."""
     overspeed_critical_mps: Positive = 8.61111111111111
     """Above the limit by this (31 km/h, German ban from driving in towns)."""
+    off_corridor_minor_m: NonNegative = 0.1
+    """The recorded box out of its planned corridor by this (ours); where there is a plan."""
+    off_corridor_serious_m: Positive | None = None
+    """The recorded box out of its planned corridor by this."""
+    off_corridor_critical_m: Positive | None = None
+    """The recorded box out of its planned corridor by this."""
     horizon_s: Positive = 5.0
     """Contacts further ahead are not looked for."""
     near_m: Positive = 3.0

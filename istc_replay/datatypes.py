@@ -442,11 +442,12 @@ class RecordedGap:
 
 @dataclass(frozen=True, slots=True)
 class WindowOutcome:
-    """A window's plan as its certificates judge it, and the least gap of its recording."""
+    """A window's plan as its certificates judge it, the least gap of its recording, and both compared."""
 
     plan: WindowPlan
     certificates: tuple[Certificate, ...] = ()
     recorded: RecordedGap | None = None
+    against_plan: tuple[dict[str, Any], ...] = ()  # rows of AGAINST_PLAN_SCHEMA
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -463,6 +464,7 @@ class Result:
     obstacles: pl.DataFrame
     solves: pl.DataFrame
     certificates: pl.DataFrame
+    findings: pl.DataFrame
     scene: StaticScene
     summary: dict[str, Any]
     config_toml: str

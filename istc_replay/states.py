@@ -52,6 +52,10 @@ RESULT_STATES_SCHEMA = pl.Schema(
         "width_m": pl.Float64(),
         "wheelbase_m": pl.Float64(),
         "rear_axle_to_centre_m": pl.Float64(),
+        "role": pl.String(),
+        "topic": pl.String(),
+        "message_index": pl.Int64(),  # position of the message within its topic
+        "derived": pl.UInt8(),  # bits: 1 heading, 2 speed, 4 acceleration were derived
     }
 )
 
@@ -229,6 +233,36 @@ VEHICLE_SAMPLES_SCHEMA = pl.Schema(
         "topic": pl.String(),
         "message_index": pl.Int64(),
         "affected": pl.Boolean(),  # within a span of doubtful data
+    }
+)
+
+#: One row a window and vehicle with a plan: what was recorded against it, a counterfactual estimate.
+AGAINST_PLAN_SCHEMA = pl.Schema(
+    {
+        "window": pl.Int32(),
+        "vehicle_id": pl.String(),
+        "start_ns": pl.Int64(),  # the plan's span
+        "end_ns": pl.Int64(),
+        "samples": pl.Int64(),  # recorded in it
+        "first_exit_ns": pl.Int64(),  # of the recorded box from its planned corridor, null: none
+        "last_out_ns": pl.Int64(),
+        "deepest_m": pl.Float64(),  # how far out a corner was at most; negative: never out
+        "deepest_ns": pl.Int64(),
+        "outside_s": pl.Float64(),
+        "deviation_mean_m": pl.Float64(),  # of the box centres at equal times
+        "deviation_most_m": pl.Float64(),
+        "deviation_most_ns": pl.Int64(),
+        "deviation_end_m": pl.Float64(),
+        "delay_end_s": pl.Float64(),  # planned less recorded time at equal arc length
+        "delay_most_s": pl.Float64(),
+        "compared_m": pl.Float64(),  # the arc length that both drive
+        "recorded_braking_mps2": pl.Float64(),  # the most of each, through the same filter
+        "planned_braking_mps2": pl.Float64(),
+        "recorded_lateral_mps2": pl.Float64(),
+        "planned_lateral_mps2": pl.Float64(),
+        "recorded_jerk_mps3": pl.Float64(),
+        "planned_jerk_mps3": pl.Float64(),
+        "estimate": pl.String(),  # counterfactual estimate: nobody drove the plan
     }
 )
 

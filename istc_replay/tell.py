@@ -8,7 +8,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
-    from istc_replay.datatypes import Certificate, Log
+    from istc_replay.datatypes import Log
     from istc_replay.pipeline.copying import Copied
 
 _LINE_LIMIT = 2000
@@ -33,6 +33,12 @@ def run_lines(summary: Mapping[str, Any], folder: Path) -> Iterator[str]:
         yield f"  log: {line(problem['code'])}: {line(problem['detail'])}"
     for window in summary["windows"]:
         yield from _window_lines(window)
+    audit = summary.get("audit")
+    if audit is not None and "reason" in audit:
+        yield f"  recorded behaviour: not judged: {line(audit['reason'])}"
+    elif audit is not None:
+        counts = ", ".join(f"{count} {severity}" for severity, count in reversed(audit["counts"].items()))
+        yield f"  recorded behaviour: {counts} findings; {audit['inconclusive']} in doubt"
     total_s = sum(summary["stages"].values())
     yield f"  {total_s:.1f} s; results in {line(folder)}"
 
@@ -59,17 +65,6 @@ def _window_lines(window: Mapping[str, Any]) -> Iterator[str]:
     for check in window["certificate"]["checks"]:
         margin = "" if check["margin"] is None else f" {check['margin']:.4g} {check['unit']}"
         yield f"    {check['check']:<22}{check['verdict']:<15}{margin}"
-
-
-def certificate_lines(certificates: Sequence[Certificate]) -> Iterator[str]:
-    """Tell every check of every window: its verdict, its margin, and the witness."""
-    if not certificates:
-        yield "no window has a plan: nothing is certified"
-    for c in certificates:
-        margin = "" if c.margin is None else f"{c.margin:.4g} {c.unit}"
-        who = " and ".join(line(vehicle) for vehicle in c.vehicles)
-        when = "" if c.time_s is None else f" at {c.time_s:.2f} s"
-        yield f"window {c.window}  {c.check:<20} {c.verdict:<15} {margin:<16} {who}{when}".rstrip()
 
 
 def log_facts(log: Log) -> dict[str, Any]:

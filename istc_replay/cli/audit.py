@@ -10,7 +10,9 @@ import click
 from istc_replay import tell
 from istc_replay.cli.common import FILE, chosen_formats, print_lines
 
-_AUDIT_FORMATS: tuple[Literal["parquet", "json", "md", "junit"], ...] = ("parquet", "json", "md", "junit")
+_AUDIT_FORMATS: tuple[Literal["html", "md", "json", "junit", "xqar", "parquet"], ...] = (
+    *("html", "md", "json", "junit", "xqar", "parquet"),
+)
 _SEVERITIES: tuple[Literal["minor", "serious", "critical"], ...] = ("minor", "serious", "critical")
 
 
@@ -25,9 +27,13 @@ _SEVERITIES: tuple[Literal["minor", "serious", "critical"], ...] = ("minor", "se
     help="The least severity that counts as a finding for the exit code.",
 )
 @click.option(
-    "--format", "formats", default="parquet,json,md", show_default=True, help="parquet, json, md, junit."
+    "--format",
+    "formats",
+    default="html,json,md,parquet",
+    show_default=True,
+    help=f"{', '.join(_AUDIT_FORMATS)}.",
 )
-@click.option("-c", "--config", "config_path", type=FILE, help="Configuration (TOML), for a log.")
+@click.option("-c", "--config", "config_path", type=FILE, help="Configuration (TOML); of a result, its own.")
 def audit(
     source: Path,
     output: Path | None,
@@ -35,23 +41,17 @@ def audit(
     formats: str,
     config_path: Path | None,
 ) -> int:
-    """Audit the recorded behaviour in SOURCE, a log; of a result, certify its plans anew.
+    """Audit what SOURCE, a log or a result, recorded; of a result, its plans as well.
 
     \b
     Example:  istc-replay audit sample_logs/intersection_turn_first.mcap -o audit --fail-on serious
     """
     from istc_replay.config import load_config
-    from istc_replay.ingest.result import is_result
-    from istc_replay.pipeline.audit import audit_read, certify_again
+    from istc_replay.pipeline.audit import audit_read
 
     chosen = chosen_formats(formats, _AUDIT_FORMATS)
-    if is_result(source):
-        if output is not None or config_path is not None:
-            raise click.UsageError(f"{source} is a result: certifying it anew takes no -o and no -c")
-        certificates, code = certify_again(source)
-        print_lines(tell.certificate_lines(certificates))
-        return code
-    text, code, files = audit_read(source, load_config(config_path), output, chosen, fail_on)
+    config = None if config_path is None else load_config(config_path)
+    text, code, files = audit_read(source, config, output, chosen, fail_on)
     print_lines(tell.line(text_line) for text_line in text.splitlines())
     print_lines(tell.line(file) for file in files)
     return code

@@ -55,11 +55,12 @@ def recorded_messages(states: pl.DataFrame) -> Iterator[Stamped]:
     """
     vehicle_state, dimensions = messages.message("VehicleState"), messages.message("Dimensions")
     names = {vehicle: f"/istc/recorded/{topic_name(vehicle)}" for vehicle in states["vehicle_id"].unique()}
-    columns = ("time_ns", "vehicle_id", "x_m", "y_m", *_KINEMATICS)
+    columns = ("time_ns", "vehicle_id", "x_m", "y_m", *_KINEMATICS, "role", "derived")
     size_columns = states.select(_SIZES).iter_rows()
-    for row, (length, width, wheelbase, axle) in zip(
-        states.select(columns).iter_rows(), size_columns, strict=True
-    ):
+    # A vehicle is what a state tells of unless it says otherwise.
+    role, derived = pl.col("role").replace("vehicle", None), pl.col("derived").cast(pl.Int64)
+    told = states.select(columns).with_columns(role, derived)
+    for row, (length, width, wheelbase, axle) in zip(told.iter_rows(), size_columns, strict=True):
         size = None
         if length is not None and width is not None:
             size = dimensions(
@@ -113,6 +114,13 @@ def certificate_message(certificate: Certificate, start_ns: int) -> Stamped:
         detail=certificate.detail,
     )
     return start_ns, "/istc/certificates", message
+
+
+def finding_messages(findings: pl.DataFrame) -> Iterator[Stamped]:
+    """Give the findings of the audit, each at the instant at which it is worst."""
+    finding = messages.message("Finding")
+    for row in findings.iter_rows(named=True):
+        yield row["worst_ns"], "/istc/findings", finding(**row)
 
 
 def scene_message(scene: StaticScene) -> Any:

@@ -7,6 +7,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
+import polars as pl
 from mcap.writer import CompressionType, Writer
 from mcap_protobuf.schema import build_file_descriptor_set
 
@@ -16,6 +17,7 @@ from istc_replay.errors import ExportError
 from istc_replay.export.encode import (
     Stamped,
     certificate_message,
+    finding_messages,
     plan_messages,
     recorded_messages,
     scene_message,
@@ -37,6 +39,7 @@ def result_bytes(
     config_toml: str,
     provenance: Mapping[str, str],
     *,
+    findings: pl.DataFrame | None = None,
     shown: bool = True,
 ) -> bytes:
     """Write a result as one MCAP file, in memory.
@@ -59,6 +62,8 @@ def result_bytes(
         The configuration in force, attached as config.toml.
     provenance : mapping of str to str
         The metadata record `istc.provenance`.
+    findings : DataFrame, optional
+        Those of the audit of what was recorded (FINDINGS_SCHEMA).
     shown : bool
         Whether to add the messages that Foxglove shows; none of the tables is made of them.
 
@@ -71,7 +76,7 @@ def result_bytes(
         If config_toml is not a configuration.
     """
     config = parse_config(config_toml)
-    stamped = _encoded(_all_messages(log, plans, certificates, config, shown=shown))
+    stamped = _encoded(_all_messages(log, plans, certificates, config, findings, shown=shown))
     attached = _json(repeatable_summary(summary))
     stream = io.BytesIO()
     writer = Writer(stream, compression=CompressionType.ZSTD, enable_crcs=True)
@@ -105,6 +110,7 @@ def _all_messages(
     plans: Sequence[WindowPlan],
     certificates: Sequence[Certificate],
     config: Config,
+    findings: pl.DataFrame | None,
     *,
     shown: bool,
 ) -> Iterator[Stamped]:
@@ -117,6 +123,8 @@ def _all_messages(
         if certificate.window not in starts:
             raise ExportError(f"certificate of window {certificate.window}: there is no plan of that window")
         yield certificate_message(certificate, starts[certificate.window])
+    if findings is not None:
+        yield from finding_messages(findings)
     if shown:
         yield from foxglove_messages(log, plans, config.vehicles)
 

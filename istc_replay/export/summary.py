@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
+import polars as pl
 
 from istc_replay.datatypes import Verdict, WindowStatus
 from istc_replay.guidance.build import STANDING_MPS
 from istc_replay.ingest.result import SUMMARY_SCHEMA
 from istc_replay.safety.certificate import overall
+from istc_replay.safety.rules import worst_first
 from istc_replay.units import NS_PER_S
 
 if TYPE_CHECKING:
@@ -25,13 +28,21 @@ if TYPE_CHECKING:
         WindowOutcome,
         WindowPlan,
     )
+    from istc_replay.safety.log_audit import Audit
 
+#: Findings that the summary lists, worst first.
+_WORST = 20
+_OF_THE_WINDOW = ("window", "vehicle_id", "start_ns", "end_ns")
 #: A vehicle that ends its recording standing has arrived where its plan ends this near.
 ARRIVED_M = 1.0
 
 
 def summarise(
-    log: Log, outcomes: Sequence[WindowOutcome], versions: Mapping[str, str], config_sha256: str
+    log: Log,
+    outcomes: Sequence[WindowOutcome],
+    versions: Mapping[str, str],
+    config_sha256: str,
+    audit: Audit | str | None = None,
 ) -> dict[str, Any]:
     """Sum up a replay; wall-clock figures of the whole run are added by the caller.
 
@@ -45,6 +56,8 @@ def summarise(
         Version by component.
     config_sha256 : str
         Hash of the configuration in force.
+    audit : Audit or str, optional
+        That of what the log recorded, or why there is none.
     """
     windows = [_window(outcome) for outcome in outcomes]
     return {
@@ -59,6 +72,26 @@ def summarise(
         "config_sha256": config_sha256,
         "windows": windows,
         "totals": _totals(log, windows),
+        "audit": None if audit is None else _audited(audit),
+    }
+
+
+def _audited(audit: Audit | str) -> dict[str, Any]:
+    """What the audit of the recording found; all of it is the topic /istc/findings."""
+    if isinstance(audit, str):
+        return {"verdict": str(Verdict.INCONCLUSIVE), "reason": audit}
+    severe = worst_first(audit.findings.filter(pl.col("severity").is_not_null()))
+    names = ("finding_id", "rule", "verdict", "severity", "vehicles", "worst_ns", "unit", "detail")
+    return {
+        "verdict": str(audit.verdict),
+        "counts": audit.counts,
+        "inconclusive": audit.in_doubt,
+        "encounters": audit.encounters.height,
+        "worst": [
+            {name: row[name] for name in names}
+            | {"value": row["value"] if math.isfinite(row["value"]) else None}
+            for row in severe.head(_WORST).iter_rows(named=True)
+        ],
     }
 
 
@@ -121,7 +154,7 @@ def _window(outcome: WindowOutcome) -> dict[str, Any]:
         "trajectories": {"seconds": plan.seconds.get("trajectories", 0.0)},
         "certificate": _certificate(certificates),
         "recorded": _recorded(outcome.recorded, window.start_ns),
-        "vehicles": _vehicles(scenario, plan),
+        "vehicles": _vehicles(scenario, plan, outcome.against_plan),
     }
 
 
@@ -153,13 +186,19 @@ def _recorded(gap: RecordedGap | None, start_ns: int) -> dict[str, Any] | None:
     }
 
 
-def _vehicles(scenario: Scenario, plan: WindowPlan) -> list[dict[str, Any]]:
+def _vehicles(
+    scenario: Scenario, plan: WindowPlan, against_plan: Sequence[dict[str, Any]]
+) -> list[dict[str, Any]]:
     corridors = {c.vehicle_id: c for c in (plan.corridors.corridors if plan.corridors else ())}
     guidance = {g.vehicle_id: g for g in plan.guidance}
     trajectories = {t.vehicle_id: t for t in plan.trajectories}
+    compared = {row["vehicle_id"]: row for row in against_plan}
     rows = []
     for participant in scenario.participants:
         row = _vehicle(participant)
+        against = compared.get(participant.vehicle_id, {})
+        told = {key: value for key, value in against.items() if key not in _OF_THE_WINDOW}
+        row["recorded_against_plan"] = told or None
         guide = guidance.get(participant.vehicle_id)
         row["guidance"] = None if guide is None else guide.kind
         corridor = corridors.get(participant.vehicle_id)

@@ -33,6 +33,7 @@ def result_tables(result: Result) -> dict[str, pl.DataFrame]:
         "obstacles": result.obstacles,
         "solves": result.solves,
         "certificates": result.certificates,
+        "findings": result.findings,
     }
 
 

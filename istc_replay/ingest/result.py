@@ -21,6 +21,7 @@ from istc_replay.ingest.walk import LogFile, open_log
 from istc_replay.states import (
     CERTIFICATES_SCHEMA,
     CORRIDORS_SCHEMA,
+    FINDINGS_SCHEMA,
     OBSTACLES_SCHEMA,
     RESULT_STATES_SCHEMA,
     SOLVES_SCHEMA,
@@ -67,6 +68,7 @@ def read_result(source: Path | bytes) -> Result:
         obstacles=_table(rows.obstacles, OBSTACLES_SCHEMA),
         solves=_table(rows.solves, SOLVES_SCHEMA),
         certificates=_table(rows.certificates, CERTIFICATES_SCHEMA),
+        findings=_table(rows.findings, FINDINGS_SCHEMA),
         scene=rows.scenes[0],
         summary=_summary(log),
         config_toml=_text(log, "config.toml"),

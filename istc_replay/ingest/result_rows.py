@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from typing import Any
@@ -43,14 +44,17 @@ class ResultRows:
     obstacles: list[Row] = field(default_factory=list)
     solves: list[Row] = field(default_factory=list)
     certificates: list[Row] = field(default_factory=list)
+    findings: list[Row] = field(default_factory=list)
     scenes: list[StaticScene] = field(default_factory=list)
+    counts: Counter[str] = field(default_factory=Counter)
 
 
 def _known(message: Any, name: str) -> Any:
     return getattr(message, name) if message.HasField(name) else None
 
 
-def _collect_state(rows: ResultRows, state: Any, source: str) -> None:
+def _collect_state(rows: ResultRows, state: Any, topic: str) -> None:
+    source = topic.split("/")[2]
     size: Row = (None,) * 4
     if state.HasField("dimensions"):
         box = state.dimensions
@@ -60,16 +64,28 @@ def _collect_state(rows: ResultRows, state: Any, source: str) -> None:
         raise ValueError(f"a {source} state without its window")
     motion = (_known(state, name) for name in _KINEMATICS)
     rows.states.append(
-        (source, window, state.vehicle_id, state.time_ns, state.x_m, state.y_m, *motion, *size)
+        (
+            *(source, window, state.vehicle_id, state.time_ns, state.x_m, state.y_m),
+            *(*motion, *size, state.role or "vehicle", topic, rows.counts[topic], state.derived),
+        )
     )
 
 
-def _collect_guidance(rows: ResultRows, guidance: Any, _: str) -> None:
+def _collect_guidance(rows: ResultRows, guidance: Any, topic: str) -> None:
     columns = (guidance.times_ns, guidance.x_m, guidance.y_m, guidance.heading_rad)
     if len({len(column) for column in columns}) > 1:
         raise ValueError(f"a guidance of {len(columns[0])} times whose places differ in number")
     rows.states += [
-        ("guidance", guidance.window, guidance.vehicle_id, *place, *(None,) * 9)
+        (
+            "guidance",
+            guidance.window,
+            guidance.vehicle_id,
+            *place,
+            *(None,) * 10,
+            topic,
+            rows.counts[topic],
+            0,
+        )
         for place in zip(*columns, strict=True)
     ]
 
@@ -119,6 +135,18 @@ def _collect_certificate(rows: ResultRows, c: Any, _: str) -> None:
     )
 
 
+def _collect_finding(rows: ResultRows, f: Any, _: str) -> None:
+    value, threshold = _known(f, "value"), _known(f, "threshold")
+    rows.findings.append(
+        (
+            *(f.finding_id, f.rule, f.verdict, f.severity or None, list(f.vehicles)),
+            *(f.start_ns, f.worst_ns, f.end_ns, _known(f, "x_m"), _known(f, "y_m"), value, f.unit),
+            *(threshold, f.threshold_source, f.topic, _known(f, "message_index")),
+            *(f.encounter_id or None, f.detail),
+        )
+    )
+
+
 def _collect_scene(rows: ResultRows, scene: Any, _: str) -> None:
     lines = [
         LaneLine(
@@ -156,6 +184,7 @@ _COLLECTORS: dict[str, tuple[str, Callable[[ResultRows, Any, str], None]]] = {
     "/istc/obstacles": ("Obstacles", _collect_obstacles),
     "/istc/solves": ("SolveReport", _collect_solve),
     "/istc/certificates": ("Certificate", _collect_certificate),
+    "/istc/findings": ("Finding", _collect_finding),
 }
 
 
@@ -181,7 +210,8 @@ def collect(rows: ResultRows, message: Message) -> None:
             f"it is {quoted(channel.message_encoding)} of {quoted(found)}, not protobuf of {expected}"
         )
     try:
-        add(rows, messages.message(kind).FromString(message.data), channel.topic.split("/")[2])
+        add(rows, messages.message(kind).FromString(message.data), channel.topic)
+        rows.counts[channel.topic] += 1
     except DecodeError as error:
         raise ValueError(f"not a message of {expected}: {error}") from None
 

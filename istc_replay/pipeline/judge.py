@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from istc_replay.datatypes import Log, Verdict, WindowOutcome, WindowStatus
 
@@ -25,23 +25,30 @@ def judged(plan: WindowPlan, part: LogPart, config: Config) -> WindowOutcome:
     began = time.perf_counter()
     window = plan.scenario.window
     gap = least_recorded_gap(_sized(part.states, plan), window.start_ns, window.end_ns)
-    certificates = _certified(plan, part, config) if plan.trajectories else ()
+    certificates, against = _certified(plan, part, config) if plan.trajectories else ((), ())
     seconds = {**plan.seconds, "certificate": time.perf_counter() - began}
-    return WindowOutcome(replace(_with_verdict(plan, certificates), seconds=seconds), certificates, gap)
+    verdict = replace(_with_verdict(plan, certificates), seconds=seconds)
+    sound = verdict.status in (WindowStatus.CERTIFIED, WindowStatus.PARTIAL)
+    return WindowOutcome(verdict, certificates, gap, against if sound else ())
 
 
-def _certified(plan: WindowPlan, part: LogPart, config: Config) -> tuple[Certificate, ...]:
+def _certified(
+    plan: WindowPlan, part: LogPart, config: Config
+) -> tuple[tuple[Certificate, ...], tuple[dict[str, Any], ...]]:
+    """The certificates, and what was recorded against the plan."""
     from istc_replay.config import render_config
     from istc_replay.export.result_mcap import result_bytes
     from istc_replay.export.summary import summarise
     from istc_replay.ingest.result import read_result
+    from istc_replay.safety.against_plan import against_plan
     from istc_replay.safety.certificate import certify
 
     log = Log("", "", True, 0, 0, 0, 0, None, None, (), part.states, part.scene, ())
     hoped = replace(plan, status=WindowStatus.CERTIFIED)
     summary = summarise(log, [WindowOutcome(hoped)], {}, "")
     written = result_bytes(log, [hoped], (), summary, render_config(config), {}, shown=False)
-    return certify(read_result(written), config)
+    draft = read_result(written)
+    return certify(draft, config), tuple(against_plan(draft, config).to_dicts())
 
 
 def _sized(states: pl.DataFrame, plan: WindowPlan) -> pl.DataFrame:

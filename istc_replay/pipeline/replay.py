@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 
 from istc_replay.config import Config, render_config
 from istc_replay.datatypes import WindowStatus
-from istc_replay.errors import ExportError, UsageError
+from istc_replay.errors import ExportError, LogError, UsageError
 from istc_replay.pipeline.windows import plan_windows, silent
 from istc_replay.pipeline.work_folder import WorkFolder
 
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
 
     from istc_replay.datatypes import Log, Result, WindowOutcome
+    from istc_replay.safety.log_audit import Audit
 
 _COMPONENTS = ("istc-replay", "casadi", "cbcbox", "daqp", "mcap", "numpy", "polars", "pyomo", "rerun-sdk")
 
@@ -151,9 +152,13 @@ def assemble(
     stages : Stages, optional
         Collects the time of each stage.
     """
+    import polars as pl
+
     from istc_replay.export.result_mcap import result_bytes, solve_times
     from istc_replay.export.summary import summarise
     from istc_replay.ingest.result import read_result
+    from istc_replay.safety.log_audit import audit_log
+    from istc_replay.states import AGAINST_PLAN_SCHEMA
     from istc_replay.windows import settled_config
 
     timing = stages or Stages()
@@ -165,9 +170,17 @@ def assemble(
     for plan in plans:
         for name, seconds in plan.seconds.items():
             timing.seconds[name] = timing.seconds.get(name, 0.0) + seconds
+    rows = [row for outcome in outcomes for row in outcome.against_plan]
+    with timing.stage("audit"):
+        against = pl.DataFrame(rows, schema=AGAINST_PLAN_SCHEMA)
+        try:
+            audit: Audit | str = audit_log(log, config, against)
+        except LogError as error:  # too dense for the memory: the plans stand without it
+            audit = str(error)
+    findings = None if isinstance(audit, str) else audit.findings
     with timing.stage("result_mcap"):
-        summary = summarise(log, outcomes, versions(), config_sha256)
-        data = result_bytes(log, plans, certificates, summary, toml, provenance)
+        summary = summarise(log, outcomes, versions(), config_sha256, audit)
+        data = result_bytes(log, plans, certificates, summary, toml, provenance, findings=findings)
         result = read_result(data)
     summary["solves"] = solve_times(plans)
     summary["stages"] = timing.seconds

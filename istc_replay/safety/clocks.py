@@ -14,6 +14,8 @@ from istc_replay.units import NS_PER_S
 
 IntArray = NDArray[np.int64]
 
+#: What only the order of the file tells.
+CLOCK_RULES = ("data_stamps", "data_clock_step", "data_clock_drift")
 #: Offsets on either side of a message whose medians make a step.
 _SIDE = 5
 #: What is compared for a drift, at either end, as a share of all messages.

@@ -79,7 +79,7 @@ def pair_findings(
             place = (float(pairs["x_m"][event.worst]), float(pairs["y_m"][event.worst]))
             detail = _pair_detail(rule, pairs, event, bodies)
             found.append(
-                _finding(
+                make_finding(
                     rule,
                     audit,
                     event.level,
@@ -177,7 +177,7 @@ def encroachment_findings(
         pair = (min(who), max(who))
         signed = value if who == pair or value == 0.0 else -value
         found.append(
-            _finding(PET_RULE, audit, event.level, pair, times, place, signed, detail, bodies, spans)
+            make_finding(PET_RULE, audit, event.level, pair, times, place, signed, detail, bodies, spans)
         )
     return _contacts_once(found)
 
@@ -232,7 +232,7 @@ def vehicle_findings(
                 place = (float(body.track.states[event.worst, 0]), float(body.track.states[event.worst, 1]))
                 value = float(values[event.worst])
                 found.append(
-                    _finding(rule, audit, event.level, (row,), when, place, value, "", bodies, spans)
+                    make_finding(rule, audit, event.level, (row,), when, place, value, "", bodies, spans)
                 )
     return found
 
@@ -278,7 +278,7 @@ def issue_findings(issues: list[Issue], bodies: list[Body]) -> list[Finding]:
     return found
 
 
-def _finding(
+def make_finding(
     rule: Rule,
     audit: AuditConfig,
     level: int,
@@ -290,6 +290,10 @@ def _finding(
     bodies: list[Body],
     spans: list[IntArray],
 ) -> Finding:
+    """A finding of behaviour; `level` is one of the rule's thresholds, `times` start, worst and end.
+
+    What makes it less than certain is told in its detail; doubtful data make it inconclusive.
+    """
     severity, threshold, source = rule.thresholds(audit)[level]
     notes = [detail] if detail else []
     start, worst, end = times

@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from istc_replay.config import Config
 from istc_replay.datatypes import Log, Verdict
+from istc_replay.safety.against_plan import corridor_findings
 from istc_replay.safety.bodies import Body, common_times, recorded_bodies
-from istc_replay.safety.clocks import check_clocks
+from istc_replay.safety.clocks import Clock, check_clocks
 from istc_replay.safety.encounters import encounter_rows, group_findings
 from istc_replay.safety.findings import (
     Finding,
@@ -32,9 +33,16 @@ from istc_replay.safety.quality import (
     is_doubtful,
     overlap_issues,
 )
-from istc_replay.safety.rules import PAIR_RULES, PET_RULE, VEHICLE_RULES
+from istc_replay.safety.rules import CORRIDOR_RULE, PAIR_RULES, PET_RULE, SEVERITIES, VEHICLE_RULES
 from istc_replay.safety.vehicle_samples import Motion, smoothed_motion, vehicles_table
-from istc_replay.states import COVERAGE_SCHEMA, ENCOUNTERS_SCHEMA, FINDINGS_SCHEMA, conform
+from istc_replay.states import (
+    AGAINST_PLAN_SCHEMA,
+    CERTIFICATES_SCHEMA,
+    COVERAGE_SCHEMA,
+    ENCOUNTERS_SCHEMA,
+    FINDINGS_SCHEMA,
+    conform,
+)
 from istc_replay.units import NS_PER_S
 
 IntArray = NDArray[np.int64]
@@ -45,31 +53,50 @@ _OF_MOVING = ("curvature", "steering_rate", "side_slip")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Audit:
-    """The audit of one log, as tables (see `states.py`).
+    """The audit of what `log` recorded, as tables (see `states.py`).
 
     `findings` and `encounters` are sorted by start, `pair_samples` and `vehicle_samples` by whom
-    and time; `coverage` says of each vehicle and rule how much was judged.
+    and time; `coverage` says of each vehicle and rule how much was judged. Of a result there are
+    also the `certificates` of its plans, made anew, and what was recorded `against_plan`; of a
+    log these are empty.
     """
 
+    log: Log
     findings: pl.DataFrame
     encounters: pl.DataFrame
     pair_samples: pl.DataFrame
     vehicle_samples: pl.DataFrame
     coverage: pl.DataFrame
+    against_plan: pl.DataFrame
+    certificates: pl.DataFrame
+    of_result: bool = False
 
     @property
     def verdict(self) -> Verdict:
         """Fail with a trusted finding, else inconclusive where data are in doubt, else pass."""
-        verdicts = set(self.findings["verdict"])
+        verdicts = {*self.findings["verdict"], *self.certificates["verdict"]}
         if Verdict.FAIL in verdicts:
             return Verdict.FAIL
         nothing = self.coverage.is_empty() or (self.coverage["judged_s"].sum() == 0.0)
         return Verdict.INCONCLUSIVE if Verdict.INCONCLUSIVE in verdicts or nothing else Verdict.PASS
 
+    @property
+    def counts(self) -> dict[str, int]:
+        """Trusted findings by severity, least severe first."""
+        trusted = self.findings.filter(pl.col("verdict") == Verdict.FAIL.value)["severity"]
+        return {severity: int((trusted == severity).sum()) for severity in SEVERITIES}
+
+    @property
+    def in_doubt(self) -> int:
+        """Findings that rest on doubtful data, and those of data quality."""
+        return int((self.findings["verdict"] == Verdict.INCONCLUSIVE.value).sum())
+
 
 # A log may hold any number: what overflows is not judged.
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def audit_log(log: Log, config: Config) -> Audit:
+def audit_log(
+    log: Log, config: Config, against: pl.DataFrame | None = None, clocks: list[Clock] | None = None
+) -> Audit:
     """Audit the recorded traffic of a log.
 
     Parameters
@@ -78,6 +105,10 @@ def audit_log(log: Log, config: Config) -> Audit:
         A log as read.
     config : Config
         The section `audit` has the thresholds, `vehicles` the sizes that the log does not tell.
+    against : DataFrame, optional
+        What was recorded against plans (AGAINST_PLAN_SCHEMA), where there are any.
+    clocks : list of Clock, optional
+        Faults of stamps and clocks that are known already; by default those of the log's states.
 
     Returns
     -------
@@ -90,13 +121,15 @@ def audit_log(log: Log, config: Config) -> Audit:
     period_ns = float(np.median(np.diff(times))) if times.size > 1 else 0.0
     motions = [smoothed_motion(body, audit) for body in bodies]
     pairs, left = sample_pairs(bodies, times, audit)
-    issues = clock_issues(check_clocks(log.states, audit), bodies)
+    issues = clock_issues(check_clocks(log.states, audit) if clocks is None else clocks, bodies)
     issues += body_issues(bodies, motions, audit)
     issues += overlap_issues(pairs, bodies, times)
     spans = doubtful_spans(issues, len(bodies))
     of_pairs = pair_findings(pairs, bodies, spans, period_ns, audit)
     of_pairs += encroachment_findings(left, pairs, bodies, spans, period_ns, audit)
     of_vehicles = vehicle_findings(bodies, motions, spans, audit)
+    against = AGAINST_PLAN_SCHEMA.to_frame() if against is None else against
+    of_vehicles += corridor_findings(against, bodies, spans, audit)
     groups = group_findings(of_pairs, audit)
     encounters = encounter_rows(groups, pairs, left, bodies, times, audit)
     names = {id(finding): group.identity(bodies) for group in groups for finding in group.findings}
@@ -106,11 +139,14 @@ def audit_log(log: Log, config: Config) -> Audit:
         for own, body in zip(spans, bodies, strict=True)
     ]
     return Audit(
+        log=log,
         findings=_findings_table(findings, names, bodies),
         encounters=_table(encounters, ENCOUNTERS_SCHEMA, ("start_ns", "first", "second")),
         pair_samples=pairs_table(pairs, [body.name for body in bodies]),
         vehicle_samples=vehicles_table(bodies, motions, doubtful),
-        coverage=_coverage(bodies, motions, doubtful, findings, issues, config),
+        coverage=_coverage(bodies, motions, doubtful, findings, issues, against, config),
+        against_plan=against,
+        certificates=CERTIFICATES_SCHEMA.to_frame(),
     )
 
 
@@ -157,6 +193,7 @@ def _coverage(
     doubtful: list[NDArray[np.bool_]],
     findings: list[Finding],
     issues: list[Issue],
+    against: pl.DataFrame,
     config: Config,
 ) -> pl.DataFrame:
     audit, rows = config.audit, []
@@ -180,6 +217,9 @@ def _coverage(
             too_slow = rule.name in _OF_MOVING and body.fastest_mps() <= audit.heading_speed_mps
             if values is not None and rule.thresholds(audit) and not too_slow:
                 applicable.add(rule.name)
+        judged[CORRIDOR_RULE.name] = known & _planned(against, body)
+        if judged[CORRIDOR_RULE.name].any():
+            applicable.add(CORRIDOR_RULE.name)
         for name, flags in judged.items():
             found = verdicts.get((row, name), set())
             verdict = Verdict.PASS
@@ -204,3 +244,12 @@ def _coverage(
                 }
             )
     return _table(rows, COVERAGE_SCHEMA, ("vehicle_id", "rule"))
+
+
+def _planned(against: pl.DataFrame, body: Body) -> NDArray[np.bool_]:
+    """Samples of a body within its plans."""
+    times, planned = body.track.times_ns, np.zeros(body.track.times_ns.size, dtype=bool)
+    spans = against.filter(pl.col("vehicle_id") == body.name).select("start_ns", "end_ns")
+    for start, end in spans.iter_rows():
+        planned |= (times >= start) & (times <= end)
+    return planned

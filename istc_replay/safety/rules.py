@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import polars as pl
 
 from istc_replay.audit_config import AuditConfig
 from istc_replay.datatypes import FloatArray
@@ -114,6 +115,11 @@ VEHICLE_RULES = (
     ),
 )
 
+#: Judged where there is a plan: how far the recorded box was out of its planned corridor.
+CORRIDOR_RULE = Rule(
+    "off_corridor", "deepest_m", "m", 1, _levels("off_corridor", "m", "ours", "ours", "ours")
+)
+
 #: Rules of data quality; their findings are inconclusive.
 DATA_RULES = (
     "data_gap",
@@ -130,4 +136,14 @@ DATA_RULES = (
 )
 
 #: All rules in the order in which they are told.
-RULE_NAMES = (*(rule.name for rule in (*PAIR_RULES, PET_RULE, *VEHICLE_RULES)), *DATA_RULES)
+RULE_NAMES = (
+    *(rule.name for rule in (*PAIR_RULES, PET_RULE, *VEHICLE_RULES, CORRIDOR_RULE)),
+    *DATA_RULES,
+)
+
+
+def worst_first(findings: pl.DataFrame) -> pl.DataFrame:
+    """Findings (FINDINGS_SCHEMA) by severity, then by start; data quality comes last."""
+    ranks = {severity: rank for rank, severity in enumerate(SEVERITIES)}
+    rank = pl.col("severity").replace_strict(ranks, default=-1, return_dtype=pl.Int8)
+    return findings.sort(rank, "start_ns", descending=[True, False], maintain_order=True)

@@ -427,10 +427,17 @@ def test_audit_of_a_log_with_nothing_wrong_finds_nothing(call: Command, tmp_path
     assert done.returncode == 0, done.stdout
 
 
-def test_audit_of_a_result_certifies_it_anew(
+def test_audit_of_a_result_judges_its_recording_and_certifies_its_plans_anew(
     call: Command, replayed: tuple[subprocess.CompletedProcess[str], Path], tmp_path: Path
 ) -> None:
-    done = call("audit", replayed[1] / TURN_FIRST.stem)
-    assert done.returncode == 0, done.stderr
+    done = call("audit", replayed[1] / TURN_FIRST.stem, "-o", tmp_path, "--format", "json,parquet")
+    assert done.returncode == 1, done.stderr  # its vehicles collide as recorded
     assert "cubes_disjoint" in done.stdout
-    expect_failure(call("audit", replayed[1] / TURN_FIRST.stem, "-o", tmp_path), 2, "takes no -o")
+    told = json.loads((tmp_path / "audit.json").read_text())
+    assert {row["verdict"] for row in told["certificates"]} == {"pass", "not_applicable"}
+    assert {row["estimate"] for row in told["against_plan"]} == {"counterfactual estimate"}
+    of_log = call("audit", TURN_FIRST, "-o", tmp_path / "log", "--format", "json")
+    assert of_log.returncode == 1, of_log.stderr
+    behaviour = [row for row in told["findings"] if row["rule"] != "off_corridor"]
+    also = json.loads((tmp_path / "log" / "audit.json").read_text())["findings"]
+    assert [row["finding_id"] for row in behaviour] == [row["finding_id"] for row in also]

@@ -44,6 +44,7 @@ from istc_replay.ingest.result import is_result, load_result_folder, read_result
 from istc_replay.states import (
     CERTIFICATES_SCHEMA,
     CORRIDORS_SCHEMA,
+    FINDINGS_SCHEMA,
     OBSTACLES_SCHEMA,
     RESULT_STATES_SCHEMA,
     SOLVES_SCHEMA,
@@ -52,6 +53,8 @@ from istc_replay.states import (
 
 Plan = tuple[Log, list[WindowPlan]]
 S = 1_000_000_000
+#: Columns of a state that say where its message stands in the file.
+PLACES = ("topic", "message_index")
 
 
 def write(log: Log, plans: list[WindowPlan] | None = None, **changes: Any) -> bytes:
@@ -67,7 +70,8 @@ def write(log: Log, plans: list[WindowPlan] | None = None, **changes: Any) -> by
 
 def recorded_of(states: pl.DataFrame) -> pl.DataFrame:
     """The states table that a log of these states should come back as, but for the windows."""
-    known = [name for name in RESULT_STATES_SCHEMA.names() if name in states.columns]
+    # Where a message stands is told of the result, not of the log.
+    known = [n for n in RESULT_STATES_SCHEMA.names() if n in states.columns and n not in PLACES]
     return states.sort("vehicle_id", "time_ns", maintain_order=True).select(known)
 
 
@@ -94,6 +98,8 @@ def test_a_result_of_nothing_has_empty_tables_of_the_same_schemas(synthetic_plan
 _MAYBE = st.none() | st.floats(-1e6, 1e6)
 _SIZES = st.tuples(st.floats(0.1, 30.0), st.floats(0.1, 5.0), _MAYBE, _MAYBE) | st.just((None,) * 4)
 
+_ROLES, _BITS = st.sampled_from(["vehicle", "pedestrian"]), st.integers(0, 7)
+
 
 @st.composite
 def state_rows(draw: st.DrawFn) -> tuple[Any, ...]:
@@ -101,7 +107,7 @@ def state_rows(draw: st.DrawFn) -> tuple[Any, ...]:
     time_ns = draw(st.integers(-(2**63), 2**63 - 1) | st.integers(0, 10))
     place = draw(st.tuples(st.floats(-1e7, 1e7), st.floats(-1e7, 1e7)))
     kinematics = draw(st.tuples(*[_MAYBE] * 6))
-    return (vehicle, time_ns, 0, 0, *place, *kinematics, *draw(_SIZES), "vehicle", "/t", 0, 0)
+    return (vehicle, time_ns, 0, 0, *place, *kinematics, *draw(_SIZES), draw(_ROLES), "/t", 0, draw(_BITS))
 
 
 @settings(max_examples=60, deadline=None)
@@ -114,6 +120,8 @@ def test_recorded_states_come_back_exactly(rows: list[tuple[Any, ...]]) -> None:
     assert_frame_equal(read.select(expected.columns), expected, check_exact=True)
     assert read["source"].to_list() == ["recorded"] * len(rows)
     assert read["window"].null_count() == len(rows)
+    for _, own in read.group_by("topic"):
+        assert sorted(own["message_index"]) == list(range(own.height))
 
 
 _COORDINATE = st.floats(-1e6, 1e6)
@@ -472,3 +480,53 @@ def test_a_result_is_told_from_a_log(folder: Path) -> None:
     assert is_result(folder)
     assert is_result(folder / "result.mcap")
     assert not is_result(folder / "log.mcap")
+
+
+def test_findings_come_back_exactly(synthetic_plan: Plan) -> None:
+    pair, nan, inf = ["a", "b"], float("nan"), float("inf")
+    rows = [
+        (
+            "f1",
+            "ttc",
+            "fail",
+            "serious",
+            pair,
+            1,
+            2,
+            3,
+            0.5,
+            nan,
+            1.4,
+            "s",
+            1.5,
+            "SSAM",
+            "/t",
+            7,
+            "e1",
+            "why",
+        ),
+        ("f2", "drac", "fail", "critical", pair, 1, 2, 3, 0.5, 2.0, inf, "m/s^2", 6.0, "", "/t", 0, "e1", ""),
+        (
+            "f3",
+            "data_gap",
+            "inconclusive",
+            None,
+            ["ü"],
+            5,
+            5,
+            9,
+            -1.0,
+            2.0,
+            4.0,
+            "s",
+            0.3,
+            "ours",
+            "",
+            0,
+            None,
+            "",
+        ),
+    ]
+    findings = pl.DataFrame(rows, schema=FINDINGS_SCHEMA, orient="row")
+    read = read_result(write(synthetic_plan[0], findings=findings)).findings
+    assert_frame_equal(read.sort("finding_id"), findings, check_exact=True)

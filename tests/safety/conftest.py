@@ -17,6 +17,7 @@ from istc_replay.geometry import to_map
 from istc_replay.states import (
     CERTIFICATES_SCHEMA,
     CORRIDORS_SCHEMA,
+    FINDINGS_SCHEMA,
     OBSTACLES_SCHEMA,
     RESULT_STATES_SCHEMA,
     SOLVES_SCHEMA,
@@ -217,6 +218,7 @@ class Scene:
             obstacles=_table(obstacles, OBSTACLES_SCHEMA),
             solves=SOLVES_SCHEMA.to_frame(),
             certificates=CERTIFICATES_SCHEMA.to_frame(),
+            findings=FINDINGS_SCHEMA.to_frame(),
             scene=StaticScene(bounds=self.bounds),
             summary=summary,
             config_toml="",

@@ -15,7 +15,7 @@ import pytest
 from istc_replay.config import Config
 from istc_replay.datatypes import Log, StaticScene
 from istc_replay.errors import ExportError
-from istc_replay.export.audit_files import (
+from istc_replay.export.audit import (
     audit_exit_code,
     audit_junit,
     audit_markdown,
@@ -30,6 +30,7 @@ from istc_replay.states import STATES_SCHEMA, conform
 ROOT = Path(__file__).resolve().parents[2]
 NS = 1_000_000_000
 T = np.arange(0, 8.01, 0.1)
+FILES: list[Any] = ["parquet", "json", "md", "junit", "xqar"]
 
 
 def vehicle(name: str, **columns: Any) -> pl.DataFrame:
@@ -53,37 +54,36 @@ def log_of(*parts: pl.DataFrame, **changes: Any) -> Log:
     return replace(log, **changes)
 
 
-def audited(*parts: pl.DataFrame, **changes: Any) -> tuple[Audit, Log]:
-    log = log_of(*parts, **changes)
-    return audit_log(log, Config()), log
+def audited(*parts: pl.DataFrame, **changes: Any) -> Audit:
+    return audit_log(log_of(*parts, **changes), Config())
 
 
-def calm() -> tuple[Audit, Log]:
+def calm() -> Audit:
     return audited(vehicle("a", x_m=10 * T, speed_mps=10.0))
 
 
-def crash(first: str = "a", second: str = "b") -> tuple[Audit, Log]:
+def crash(first: str = "a", second: str = "b") -> Audit:
     return audited(
         vehicle(first, x_m=10 * T - 40, speed_mps=10.0),
         vehicle(second, x_m=0.0, y_m=10 * T - 41, heading_rad=np.pi / 2, speed_mps=10.0),
     )
 
 
-def doubtful() -> tuple[Audit, Log]:
+def doubtful() -> Audit:
     return audited(vehicle("a", x_m=10 * T, speed_mps=36.0))
 
 
 def test_exit_codes_tell_findings_doubt_and_neither() -> None:
-    assert audit_exit_code(*calm(), "minor") == 0
-    assert audit_exit_code(*crash(), "critical") == 1
-    assert audit_exit_code(*doubtful(), "minor") == 3
-    audit, log = calm()
-    assert audit_exit_code(audit, replace(log, complete=False), "minor") == 3
+    assert audit_exit_code(calm(), "minor") == 0
+    assert audit_exit_code(crash(), "critical") == 1
+    assert audit_exit_code(doubtful(), "minor") == 3
+    audit = calm()
+    assert audit_exit_code(replace(audit, log=replace(audit.log, complete=False)), "minor") == 3
     tailgating = audited(
         vehicle("a", x_m=20 * T, speed_mps=20.0), vehicle("b", x_m=20 * T - 40.0, speed_mps=20.0)
     )
-    assert audit_exit_code(*tailgating, "minor") == 1
-    assert audit_exit_code(*tailgating, "serious") == 0
+    assert audit_exit_code(tailgating, "minor") == 1
+    assert audit_exit_code(tailgating, "serious") == 0
 
 
 def check(value: Any, schema: dict[str, Any], path: str = "$") -> None:
@@ -113,65 +113,65 @@ def check(value: Any, schema: dict[str, Any], path: str = "$") -> None:
 
 @pytest.mark.parametrize("made", [calm, crash, doubtful])
 def test_json_follows_its_schema_and_the_schema_is_current(made: Any) -> None:
-    audit, log = made()
+    audit = made()
     schema = json.loads((ROOT / "schemas" / "audit.schema.json").read_text(encoding="utf-8"))
     assert schema == audit_schema(), "write schemas/audit.schema.json anew: scripts/samples"
-    summary = json.loads(json.dumps(audit_summary(audit, log), allow_nan=False))
+    summary = json.loads(json.dumps(audit_summary(audit), allow_nan=False))
     check(summary, schema)
     assert len(summary["findings"]) == audit.findings.height
     assert summary["input"]["path"] == "made.mcap"
 
 
 def test_junit_has_a_case_a_rule_that_findings_fail_and_doubt_breaks() -> None:
-    def cases(audit: Audit, log: Log) -> tuple[ET.Element, dict[str, set[str]]]:
-        root = ET.fromstring(audit_junit(audit, log, "serious"))  # noqa: S314
+    def cases(audit: Audit) -> tuple[ET.Element, dict[str, set[str]]]:
+        root = ET.fromstring(audit_junit(audit, "serious"))  # noqa: S314
         return root, {case.get("name", ""): {child.tag for child in case} for case in root}
 
-    root, of_crash = cases(*crash())
+    root, of_crash = cases(crash())
     assert list(of_crash) == list(RULE_NAMES)
     assert of_crash["gap"] == {"failure"}
     assert of_crash["speed_limit"] == {"skipped"}
     assert of_crash["braking"] == of_crash["data_gap"] == set()
     assert root.get("tests") == str(len(RULE_NAMES))
     assert int(root.get("failures", "0")) == sum("failure" in tags for tags in of_crash.values())
-    _, of_doubt = cases(*doubtful())
+    _, of_doubt = cases(doubtful())
     assert of_doubt["data_units"] == {"error"}
     assert of_doubt["ttc"] == {"error"}  # nobody to meet, yet in doubt
-    assert all(tags in (set(), {"skipped"}) for tags in cases(*calm())[1].values())
+    assert all(tags in (set(), {"skipped"}) for tags in cases(calm())[1].values())
 
 
 def test_names_of_a_log_inject_no_markup() -> None:
     evil = "<script>|`x`|\n# [a](b)\x00\x1b ]]>"
-    audit, log = crash(evil, "b")
-    text = audit_markdown(audit, log)
+    audit = crash(evil, "b")
+    text = audit_markdown(audit)
     assert "<script>" not in text
     assert "\\<script\\>\\|\\`x\\`\\|" in text
     assert not any(line.startswith("# [") for line in text.splitlines())
     assert all(line.count(" | ") == 7 for line in text.splitlines() if line.startswith("| critical"))
-    root = ET.fromstring(audit_junit(audit, log, "minor"))  # noqa: S314
+    root = ET.fromstring(audit_junit(audit, "minor"))  # noqa: S314
     assert {case.tag for case in root} == {"testcase"}
     assert "<script>" in "".join(root.itertext())
 
 
 def test_markdown_tells_the_worst_first() -> None:
-    audit, log = crash()
-    lines = audit_markdown(audit, log).splitlines()
+    audit = crash()
+    lines = audit_markdown(audit).splitlines()
     assert lines[0] == "# Audit of made.mcap: fail"
     first = next(line for line in lines if line.startswith("| ") and "severity" not in line)
     assert first.startswith("| critical |")
     assert "## In doubt" not in lines
-    assert "## In doubt" in audit_markdown(*doubtful())
+    assert "## In doubt" in audit_markdown(doubtful())
 
 
 def test_files_are_written_and_repeat_byte_for_byte(tmp_path: Path) -> None:
-    audit, log = crash()
-    files = write_audit(audit, log, tmp_path / "one", ["parquet", "json", "md", "junit"])
+    audit = crash()
+    files = write_audit(audit, tmp_path / "one", FILES, version="1")
     assert [path.name for path in files] == [
         "findings.parquet", "encounters.parquet", "pair_samples.parquet", "vehicle_samples.parquet",
-        "coverage.parquet", "audit.json", "audit.md", "audit.junit.xml",
+        "coverage.parquet", "audit.json", "audit.md", "audit.junit.xml", "audit.xqar",
     ]  # fmt: skip
-    again = write_audit(*crash(), tmp_path / "two", ["parquet", "json", "md", "junit"])
+    again = write_audit(crash(), tmp_path / "two", FILES, version="1")
     assert [path.read_bytes() for path in files] == [path.read_bytes() for path in again]
     assert pl.read_parquet(files[0]).equals(audit.findings)
-    with pytest.raises(ExportError, match="parquet, json, md, junit"):
-        write_audit(audit, log, tmp_path, ["html"])  # type: ignore[list-item]
+    with pytest.raises(ExportError, match="html, md, json"):
+        write_audit(audit, tmp_path, ["pdf"], version="1")  # type: ignore[list-item]

@@ -1,0 +1,86 @@
+"""The safety audit of a result: its recorded behaviour, its plans anew, and one against the other."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import polars as pl
+
+from istc_replay.config import Config
+from istc_replay.datatypes import Certificate, Log, Result
+from istc_replay.safety.against_plan import against_plan, recorded_rows
+from istc_replay.safety.certificate import certify
+from istc_replay.safety.clocks import CLOCK_RULES, Clock
+from istc_replay.safety.log_audit import Audit, audit_log
+from istc_replay.states import CERTIFICATES_SCHEMA, STATES_SCHEMA, conform
+from istc_replay.units import seconds_to_ns
+
+
+def audit_result(result: Result, config: Config) -> Audit:
+    """Audit a result from its tables alone.
+
+    Parameters
+    ----------
+    result : Result
+        As read back. Stamps and clocks cannot be judged from it, as it is sorted by time: what was
+        found of them when it was made is taken over.
+    config : Config
+        The thresholds, and what the plans promise.
+
+    Returns
+    -------
+    Audit
+        With the certificates of all plans, made anew, and what was recorded against them.
+    """
+    clocks = [
+        Clock(
+            **{name: row[name] for name in ("rule", "topic", "start_ns", "worst_ns", "end_ns")},
+            **{name: row[name] for name in ("value", "unit", "threshold", "detail")},
+            vehicles=tuple(row["vehicles"]),
+            source=row["threshold_source"],
+        )
+        for row in result.findings.filter(pl.col("rule").is_in(CLOCK_RULES)).iter_rows(named=True)
+    ]
+    found = audit_log(recorded_log(result), config, against_plan(result, config), clocks)
+    return replace(found, certificates=_table(certify(result, config), result), of_result=True)
+
+
+def recorded_log(result: Result) -> Log:
+    """What a result has of its log; messages are counted within the result's own topics."""
+    rows = recorded_rows(result)
+    states = rows.with_columns(log_time_ns=pl.col("time_ns"), publish_time_ns=pl.col("time_ns"))
+    states = states.drop("source", "window")
+    told = result.summary.get("input") or {}
+    return Log(
+        path=result.path,
+        sha256=str(told.get("sha256", "")),
+        complete=told.get("complete") is True,
+        messages=states.height,
+        attachments=0,
+        metadata=0,
+        chunks=0,
+        start_ns=states["time_ns"].min(),  # type: ignore[arg-type]
+        end_ns=states["time_ns"].max(),  # type: ignore[arg-type]
+        channels=(),
+        states=conform(states, STATES_SCHEMA),
+        scene=result.scene,
+        problems=(),
+    )
+
+
+def _table(certificates: tuple[Certificate, ...], result: Result) -> pl.DataFrame:
+    starts = {window["index"]: window["start_ns"] for window in result.summary.get("windows") or ()}
+    rows = [
+        {
+            "window": c.window,
+            "check": c.check,
+            "verdict": c.verdict.value,
+            "margin": c.margin,
+            "unit": c.unit,
+            "time_ns": None if c.time_s is None else starts.get(c.window, 0) + seconds_to_ns(c.time_s),
+            "vehicles": list(c.vehicles),
+            "detail": c.detail,
+        }
+        for c in certificates
+    ]
+    return pl.DataFrame(rows, schema=CERTIFICATES_SCHEMA) if rows else CERTIFICATES_SCHEMA.to_frame()
