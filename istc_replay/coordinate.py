@@ -9,15 +9,17 @@ from typing import TYPE_CHECKING
 from istc_replay.corridors.formulation import default_limits
 from istc_replay.corridors.solve import solve_corridors
 from istc_replay.datatypes import WindowPlan, WindowStatus
-from istc_replay.field import Field, lateral_excursion_m, least_cover, prepare
+from istc_replay.errors import SolveError
+from istc_replay.field import Field, Repairs, lateral_excursion_m, least_cover, prepare
 from istc_replay.guidance.build import build_guidance
 from istc_replay.scenario import build_scenario
+from istc_replay.tracks import road_users
 from istc_replay.trajectories.plan import TrajectoryPlanner
 from istc_replay.trajectories.repair import RecordingRepairer
 from istc_replay.windows import TRAFFIC_UNITS_S
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Sequence
 
     from istc_replay.config import Config
     from istc_replay.corridors.problem import Limits
@@ -35,6 +37,8 @@ if TYPE_CHECKING:
 _FASTER_SHARE, _FASTER_MPS = 1.15, 1.0
 #: At time units no longer than this, traffic has two control intervals in each.
 _SHORT_UNIT_S = 0.5
+#: Where vehicles have to be frozen, plans at so many of the finest time units are compared.
+_PARTIALS = 2
 
 
 def speed_max_mps(scenario: Scenario, config: Config) -> float:
@@ -85,24 +89,40 @@ def plan_part(
         Told in words what is being done.
     """
     began = time.perf_counter()
-
-    def attempt(unit_s: float | None = None) -> WindowPlan:
-        scenario = build_scenario(part, config, unit_s)
-        return plan_window(scenario, config, planners.of(scenario), progress, planners.repairer)
-
-    best = attempt()
-    seconds = dict(best.seconds)
-    if best.scenario.traffic and config.window.unit_s == "auto":
-        for unit_s in TRAFFIC_UNITS_S:
-            if unit_s >= best.scenario.window.unit_s or not best.frozen:
-                continue
-            finer = attempt(unit_s)
-            for name, value in finer.seconds.items():
-                seconds[name] = seconds.get(name, 0.0) + value
-            if len(finer.trajectories) > len(best.trajectories):
-                best = finer
+    users = road_users(part.states)
+    repairs = Repairs(planners.repairer)
+    first = build_scenario(part, config, users=users)
+    # Finer time units leave more room to cars that are close: they are tried before any is frozen.
+    finer = TRAFFIC_UNITS_S if first.traffic and config.window.unit_s == "auto" else ()
+    units = [unit_s for unit_s in finer if unit_s < first.window.unit_s]
+    tried: list[_Rounds] = []
+    for unit_s in (None, *units):
+        scenario = first if unit_s is None else build_scenario(part, config, unit_s, users=users)
+        tried.append(_begin(scenario, config, planners.of(scenario), progress, repairs))
+        plan = tried[-1].run()
+        if plan is not None:
+            break
+    else:
+        plan = _best_partial(tried)
+    seconds: dict[str, float] = {}
+    for rounds in tried:
+        for name, value in rounds.seconds.items():
+            seconds[name] = seconds.get(name, 0.0) + value
     seconds["scenario"] = time.perf_counter() - began - sum(seconds.values())
-    return replace(best, seconds=seconds)
+    return replace(plan, seconds=seconds)
+
+
+def _best_partial(tried: Sequence[_Rounds]) -> WindowPlan:
+    """The plan of the most vehicles where some have to be frozen, from the finest time unit on."""
+    best: WindowPlan | None = None
+    for rounds in reversed(tried[-_PARTIALS:]):
+        rounds.may_freeze = True
+        plan = rounds.run()
+        if plan is not None and (best is None or len(plan.trajectories) > len(best.trajectories)):
+            best = plan
+    if best is None:
+        raise SolveError("a window's rounds ended without an outcome: please report this log")
+    return best
 
 
 def plan_window(
@@ -131,25 +151,42 @@ def plan_window(
     repairer : RecordingRepairer, optional
         Keeps the NLPs that repair recordings.
     """
-    seconds = {"guidance": 0.0, "corridors": 0.0, "trajectories": 0.0}
+    repairs = Repairs(repairer or RecordingRepairer(config.trajectories))
+    rounds = _begin(scenario, config, planner, progress, repairs)
+    rounds.may_freeze = True
+    plan = rounds.run()
+    if plan is None:
+        raise SolveError("a window's rounds ended without an outcome: please report this log")
+    return plan
+
+
+def _begin(
+    scenario: Scenario,
+    config: Config,
+    planner: TrajectoryPlanner,
+    progress: Callable[[str], None],
+    repairs: Repairs,
+) -> _Rounds:
+    """Make a window ready to be planned: its guidance by the law that is set."""
+    progress("guidance")
     began = time.perf_counter()
     fastest = speed_max_mps(scenario, config)
     law = config.guidance.law
     if law == "recorded" or (law == "auto" and scenario.traffic):
-        ready = prepare(scenario, config, repairer or RecordingRepairer(config.trajectories), fastest)
+        ready = prepare(scenario, config, repairs, fastest)
     else:
         gaps = config.corridors.vehicle_gap_m, config.corridors.obstacle_gap_m
         ready = Field(scenario, build_guidance(scenario, config.guidance), *gaps)
-    seconds["guidance"] = time.perf_counter() - began
-    if not ready.scenario.participants:
-        reason = "no vehicle of the window can be planned: " + _exclusion_text(ready.scenario)
-        return WindowPlan(ready.scenario, WindowStatus.NOTHING_TO_PLAN, reason, seconds=seconds)
-    return _Rounds(ready, config, planner, fastest, progress, seconds).run()
+    seconds = {"guidance": time.perf_counter() - began, "corridors": 0.0, "trajectories": 0.0}
+    return _Rounds(ready, config, planner, fastest, progress, seconds)
 
 
 @dataclass(slots=True)
 class _Rounds:
-    """The rounds of both layers for one window, until a plan stands or nobody is left."""
+    """The rounds of both layers for one window, until a plan stands or nobody is left.
+
+    Unless it `may_freeze` vehicles, it stops where it would have to, and can go on from there.
+    """
 
     ready: Field
     config: Config
@@ -157,40 +194,58 @@ class _Rounds:
     fastest_mps: float
     progress: Callable[[str], None]
     seconds: dict[str, float]
+    may_freeze: bool = False
     round: int = 0
+    pending: dict[str, tuple[str, str]] = field(default_factory=dict)
     limits: dict[str, Limits] = field(default_factory=dict)
     tightened: dict[str, int] = field(default_factory=dict)
     records: list[SolveRecord] = field(default_factory=list)
     _known: dict[tuple[str, bytes], TrajectoryOutcome] = field(default_factory=dict)
 
-    def run(self) -> WindowPlan:
-        """Solve the layers in turn; every round takes freedom from a vehicle, so that they end."""
+    def __post_init__(self) -> None:
+        self.ready.freeze(self.ready.overlaps)
         self.records = list(self.ready.records)
-        self.limits = {
-            p.vehicle_id: default_limits(self.config.corridors) for p in self.ready.scenario.participants
-        }
-        while self.ready.scenario.participants:
+        participants = self.ready.scenario.participants
+        self.limits = {p.vehicle_id: default_limits(self.config.corridors) for p in participants}
+
+    def run(self) -> WindowPlan | None:
+        """Solve the layers in turn; every round takes freedom from a vehicle, so that they end."""
+        if not self.ready.scenario.participants and not self.ready.frozen:
+            reason = "no vehicle of the window can be planned: " + _exclusion_text(self.ready.scenario)
+            return self._plan(WindowStatus.NOTHING_TO_PLAN, reason, None)
+        while True:
+            if self.pending:
+                if not self.may_freeze:
+                    return None
+                self.ready.freeze(self.pending)
+                self.pending = {}
+            if not self.ready.scenario.participants:
+                frozen = "; ".join(f"{e.vehicle_id}: {e.detail}" for e in self.ready.frozen)
+                return self._plan(WindowStatus.NO_CORRIDORS, f"nobody could be planned: {frozen}", None)
             self.round += 1
-            corridors = self._corridors()
-            if not corridors.corridors:
-                if not self._freeze_conflicts(corridors):
-                    return self._plan(WindowStatus.NO_CORRIDORS, corridors.reason + self._after(), corridors)
-                continue
-            outcomes = self._trajectories(corridors)
-            undrivable = tuple(o.undrivable for o in outcomes if o.undrivable is not None)
-            found = tuple(o.trajectory for o in outcomes if o.trajectory is not None)
-            if undrivable:
-                if self._give_way(undrivable):
-                    continue
-                reason = "; ".join(_undrivable_text(u) for u in undrivable) + self._after()
-                return self._plan(WindowStatus.NOT_DRIVABLE, reason, corridors, undrivable=undrivable)
-            if not self._freeze_strays(found):
-                # Not certified until the certificate has said so.
-                return self._plan(WindowStatus.NOT_CERTIFIED, "", corridors, trajectories=found)
-        reason = "nobody could be planned: " + "; ".join(
-            f"{e.vehicle_id}: {e.detail}" for e in self.ready.frozen
-        )
-        return self._plan(WindowStatus.NO_CORRIDORS, reason, None)
+            plan = self._round()
+            if plan is not None:
+                return plan
+
+    def _round(self) -> WindowPlan | None:
+        """One round: the plan, or None where something has been changed to try again."""
+        corridors = self._corridors()
+        if not corridors.corridors:
+            if self._yield_to_conflicts(corridors):
+                return None
+            return self._plan(WindowStatus.NO_CORRIDORS, corridors.reason + self._after(), corridors)
+        outcomes = self._trajectories(corridors)
+        undrivable = tuple(o.undrivable for o in outcomes if o.undrivable is not None)
+        found = tuple(o.trajectory for o in outcomes if o.trajectory is not None)
+        if undrivable:
+            if self._give_way(undrivable):
+                return None
+            reason = "; ".join(_undrivable_text(u) for u in undrivable) + self._after()
+            return self._plan(WindowStatus.NOT_DRIVABLE, reason, corridors, undrivable=undrivable)
+        if self._strays(found):
+            return None
+        # Not certified until the certificate has said so.
+        return self._plan(WindowStatus.NOT_CERTIFIED, "", corridors, trajectories=found)
 
     def _corridors(self) -> Corridors:
         self.progress("corridors" if self.round == 1 else f"corridors, round {self.round}")
@@ -237,37 +292,34 @@ class _Rounds:
             if u.vehicle_id not in again
         }
         if given_up and self.ready.scenario.traffic:
-            self.ready.freeze(given_up)
+            self.pending = given_up
             return True
         return bool(again)
 
-    def _freeze_conflicts(self, corridors: Corridors) -> bool:
-        """Lower the gaps, then freeze the fewest vehicles that stand in the way; whether that helps."""
+    def _yield_to_conflicts(self, corridors: Corridors) -> bool:
+        """Narrow the cars' headings, lower the gaps, then freeze the fewest; whether any of it helps."""
         if not self.ready.scenario.traffic:
             return False
-        if self.ready.lower_gaps(corridors.culprits):
+        if self.ready.narrow(corridors.culprits) or self.ready.lower_gaps(corridors.culprits):
             return True
         names = least_cover(corridors.culprits, self.ready.scenario.participants)
-        reasons = {}
         for name in names:
             others = sorted({o for pair in corridors.culprits if name in pair for o in pair} - {name})
             detail = "no way past " + ", ".join(others) if others else corridors.reason
-            reasons[name] = ("no_relation" if others else "no_corridor", detail)
-        self.ready.freeze(reasons)
+            self.pending[name] = ("no_relation" if others else "no_corridor", detail)
         return bool(names)
 
-    def _freeze_strays(self, found: tuple[Trajectory, ...]) -> bool:
+    def _strays(self, found: tuple[Trajectory, ...]) -> bool:
         """In traffic, freeze whoever leaves its recorded path sideways by too much."""
         if not self.ready.scenario.traffic:
             return False
-        most, strays = self.config.corridors.lateral_m, {}
+        most = self.config.corridors.lateral_m
         for trajectory, guide in zip(found, self.ready.guidance, strict=True):
             away = lateral_excursion_m(trajectory, guide)
             if away > most:
                 detail = f"its plan leaves the recorded path by {away:.2f} m, more than {most:g} m"
-                strays[trajectory.vehicle_id] = ("off_the_path", detail)
-        self.ready.freeze(strays)
-        return bool(strays)
+                self.pending[trajectory.vehicle_id] = ("off_the_path", detail)
+        return bool(self.pending)
 
     def _plan(
         self,

@@ -7,10 +7,12 @@ from itertools import combinations
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from istc_replay.datatypes import (
     Exclusion,
     FloatArray,
+    Frame,
     Guidance,
     Obstacle,
     Participant,
@@ -18,9 +20,10 @@ from istc_replay.datatypes import (
     SolveRecord,
     StartState,
     Trajectory,
+    Window,
     read_only,
 )
-from istc_replay.geometry import box_corners, shift_along
+from istc_replay.geometry import box_corners, shift_along, to_frame, to_map
 from istc_replay.guidance.build import recorded_guidance
 from istc_replay.road_frame import heading_slack
 from istc_replay.tracks import swept_boxes
@@ -29,7 +32,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from istc_replay.config import Config
-    from istc_replay.trajectories.repair import RecordingRepairer
+    from istc_replay.trajectories.repair import RecordingRepairer, RepairedMotion
 
 #: The plan must begin this near to the recorded start [m]; the certificate allows a little more.
 _START_M = 0.04
@@ -39,6 +42,8 @@ _BELOW_RECORDED_M = 0.05
 _LEAST_GAP_M = 0.06
 #: Near a neighbour a car may turn by this share of what would touch it, at least by the second [rad].
 _NEAR_SHARE, _NEAR_LEAST_RAD = 0.8, float(np.radians(1.5))
+#: A car that has no room is held this near to its heading, while it is nearer than this to the other.
+_STRAIGHT_RAD, _NARROW_M = float(np.radians(0.2)), 1.0
 #: A path goes straight on for this long before its start and after its end [m].
 _BEYOND_M = 1e3
 
@@ -47,8 +52,9 @@ _BEYOND_M = 1e3
 class Field:
     """A window of traffic while it is planned.
 
-    `guidance` is in the order of the scenario's participants. `frozen` vehicles were taken out
-    again and stand as obstacles in the scenario.
+    `guidance` is in the order of the scenario's participants. `overlaps` tells of vehicles that are
+    recorded within another where both are first there: no plan can start so. `frozen` vehicles were
+    taken out again and stand as obstacles in the scenario.
     """
 
     scenario: Scenario
@@ -56,18 +62,45 @@ class Field:
     vehicle_gap_m: float
     obstacle_gap_m: float
     records: list[SolveRecord] = field(default_factory=list)
+    overlaps: dict[str, tuple[str, str]] = field(default_factory=dict)
     frozen: list[Exclusion] = field(default_factory=list)
 
     def lower_gaps(self, culprits: Sequence[tuple[str, ...]]) -> bool:
         """Promise a third of the gap where a pair has no room for it, and then none; whether it changed."""
         vehicles = {p.vehicle_id for p in self.scenario.participants}
+        # A vehicle that enters or leaves within a unit is an obstacle there, and a vehicle elsewhere.
+        obstacles = {o.obstacle_id for o in self.scenario.obstacles}
         pairs = [pair for pair in culprits if len(pair) == 2]
         before = self.vehicle_gap_m, self.obstacle_gap_m
         if any(vehicles.issuperset(pair) for pair in pairs):
             self.vehicle_gap_m = _third(self.vehicle_gap_m)
-        if any(not vehicles.issuperset(pair) for pair in pairs):
+        if any(obstacles.intersection(pair) for pair in pairs):
             self.obstacle_gap_m = _third(self.obstacle_gap_m)
         return before != (self.vehicle_gap_m, self.obstacle_gap_m)
+
+    def narrow(self, culprits: Sequence[tuple[str, ...]]) -> bool:
+        """Hold cars to their guidance's heading near whom they cannot pass; whether that changed anything.
+
+        Layer 1 then asks for the room that the car takes as it is; layer 2 turns it only within that.
+        """
+        boxes = {o.obstacle_id: o.boxes_m for o in self.scenario.obstacles}
+        rows = {p.vehicle_id: row for row, p in enumerate(self.scenario.participants)}
+        for participant, guide in zip(self.scenario.participants, self.guidance, strict=True):
+            own = _recorded_boxes(participant, guide.times_s, guide.poses, self.scenario)
+            within = boxes.get(participant.vehicle_id, own)
+            boxes[participant.vehicle_id] = np.where(np.isnan(own), within, own)
+        changed, guidance = False, list(self.guidance)
+        pairs = [pair for pair in culprits if len(pair) == 2]
+        for name, other in (*pairs, *(pair[::-1] for pair in pairs)):
+            before = guidance[rows[name]].slack_rad if name in rows else None
+            if before is None:
+                continue
+            near = _near(boxes[name], boxes[other], self.scenario.participants[rows[name]])
+            slack = np.where(near, np.minimum(before, _STRAIGHT_RAD), before)
+            changed |= bool((slack < before).any())
+            guidance[rows[name]] = replace(guidance[rows[name]], slack_rad=read_only(slack))
+        self.guidance = tuple(guidance)
+        return changed
 
     def freeze(self, reasons: Mapping[str, tuple[str, str]]) -> None:
         """Leave vehicles as recorded, by reason and detail; the others plan around them."""
@@ -78,11 +111,50 @@ class Field:
         self.frozen += [Exclusion(p.vehicle_id, *reasons[p.vehicle_id]) for p in frozen]
 
 
+def _near(own_m: FloatArray, other_m: FloatArray, participant: Participant) -> NDArray[np.bool_]:
+    """Unit boundaries (K+1,) of a participant beside a unit in which two swept boxes (N, 4) are near."""
+    apart = np.maximum(own_m[:, 0::2] - other_m[:, 1::2], other_m[:, 0::2] - own_m[:, 1::2]).max(axis=1)
+    begin, units = participant.first_unit, participant.units
+    near = np.nan_to_num(apart[begin : begin + units], nan=np.inf) < _NARROW_M
+    return np.asarray(np.append(near, False) | np.insert(near, 0, False))
+
+
 def _third(gap_m: float) -> float:
     return gap_m / 3.0 if gap_m > _LEAST_GAP_M else 0.0
 
 
-def prepare(scenario: Scenario, config: Config, repairer: RecordingRepairer, speed_max_mps: float) -> Field:
+class Repairs:
+    """Repaired recordings of one window, kept for its other time units and frames.
+
+    Parameters
+    ----------
+    repairer : RecordingRepairer
+        Keeps the NLPs that it built.
+    """
+
+    def __init__(self, repairer: RecordingRepairer) -> None:
+        self._repairer = repairer
+        self._known: dict[tuple[object, ...], tuple[Frame, RepairedMotion | None]] = {}
+
+    def of(
+        self, participant: Participant, window: Window, speed_max_mps: float
+    ) -> tuple[RepairedMotion | None, SolveRecord | None]:
+        """The repaired motion in the window's frame, and the record of the solve where it took one."""
+        first_s = participant.first_unit * window.unit_s
+        key = (participant.vehicle_id, first_s, first_s + participant.units * window.unit_s, speed_max_mps)
+        if key not in self._known:
+            motion, record = self._repairer.repair(participant, window.unit_s, speed_max_mps)
+            self._known[key] = window.frame, motion
+            return motion, record
+        frame, motion = self._known[key]
+        if motion is None:
+            return None, None
+        points = to_frame(to_map(motion.poses[:, :2], frame), window.frame)
+        headings = motion.poses[:, 2] + frame.yaw_rad - window.frame.yaw_rad
+        return replace(motion, poses=read_only(np.column_stack([points, headings]))), None
+
+
+def prepare(scenario: Scenario, config: Config, repairs: Repairs, speed_max_mps: float) -> Field:
     """Repair the recordings of a window; a vehicle that no car could have driven becomes an obstacle.
 
     Parameters
@@ -91,18 +163,18 @@ def prepare(scenario: Scenario, config: Config, repairer: RecordingRepairer, spe
         A window of recorded traffic.
     config : Config
         Largest deviation, gaps.
-    repairer : RecordingRepairer
-        Keeps the NLPs that it built.
+    repairs : Repairs
+        Repairs recordings, and keeps what it repaired.
     speed_max_mps : float
         Largest speed.
     """
     records, kept, guidance, excluded, dropped = [], [], [], [], []
     for participant in scenario.participants:
-        motion, record = repairer.repair(participant, scenario.window.unit_s, speed_max_mps)
-        records.append(record)
+        motion, record = repairs.of(participant, scenario.window, speed_max_mps)
+        records += [] if record is None else [record]
         detail = ""
         if motion is None:
-            detail = f"no drivable motion was found near it ({record.detail})"
+            detail = "no drivable motion was found near it"
         elif motion.deviation_m > config.guidance.deviation_max_m:
             detail = f"the nearest drivable motion is {motion.deviation_m:.2f} m away"
         elif np.hypot(*(motion.poses[0, :2] - participant.recording.poses[0, :2])) > _START_M:
@@ -126,7 +198,7 @@ def _narrowed(
     """Lower the gaps to what was recorded, and hold headings narrow at speed and near neighbours."""
     unit_s, participants = scenario.window.unit_s, scenario.participants
     slack = [heading_slack(np.column_stack([g.points_m, g.headings_rad]), unit_s) for g in guidance]
-    least = np.inf
+    least, overlaps = np.inf, dict[str, tuple[str, str]]()
     near = [np.full(p.units + 1, np.inf) for p in participants]
     for a, b in combinations(range(len(participants)), 2):
         first, second = participants[a], participants[b]
@@ -135,6 +207,11 @@ def _narrowed(
         if end <= begin:
             continue
         apart = _apart(first, guidance[a], second, guidance[b], begin, end)
+        if apart[0] < 0.0:
+            for name, other in ((first, second), (second, first)):
+                detail = f"recorded {-apart[0]:.2f} m within {other.vehicle_id} where both are first there"
+                overlaps[name.vehicle_id] = ("overlap_at_start", detail)
+            continue
         least = min(least, float(apart.min()))
         per_unit = (len(apart) - 1) // (end - begin)
         for row, one in ((a, first), (b, second)):
@@ -146,7 +223,7 @@ def _narrowed(
         slack[row] = np.minimum(slack[row], np.maximum(room, _NEAR_LEAST_RAD))
     narrow = tuple(replace(g, slack_rad=read_only(s)) for g, s in zip(guidance, slack, strict=True))
     clear = _least_clearance(scenario, guidance)
-    return Field(scenario, narrow, gap, _lowered(config.corridors.obstacle_gap_m, clear), records)
+    return Field(scenario, narrow, gap, _lowered(config.corridors.obstacle_gap_m, clear), records, overlaps)
 
 
 def _lowered(gap_m: float, recorded_m: float) -> float:

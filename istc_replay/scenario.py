@@ -27,17 +27,19 @@ from istc_replay.datatypes import (
 )
 from istc_replay.geometry import box_corners, rotate, to_frame
 from istc_replay.road_frame import Body, conflicts, road_yaw
-from istc_replay.tracks import UsableTrack, known_poses, known_states, swept_boxes, usable_track
+from istc_replay.tracks import RoadUser, UsableTrack, road_users, swept_boxes, usable_track
 from istc_replay.units import seconds_to_ns
 from istc_replay.windows import CALM_UNIT_S, LogPart, first_unit_s, log_parts
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator, Mapping
 
     from istc_replay.config import Config, VehiclesConfig
 
 #: Reasons of exclusion that tell of a road user whose motion is well known.
 AS_RECORDED = ("not_a_vehicle", "uncooperative")
+#: Length and width of a road user that is no vehicle and of unknown size [m].
+_SMALL_M = 1.0
 
 
 def build_scenarios(log: Log, config: Config) -> Iterator[Scenario]:
@@ -52,20 +54,28 @@ def build_scenarios(log: Log, config: Config) -> Iterator[Scenario]:
         yield build_scenario(part, config)
 
 
-def build_scenario(part: LogPart, config: Config, unit_s: float | None = None) -> Scenario:
+def build_scenario(
+    part: LogPart,
+    config: Config,
+    unit_s: float | None = None,
+    *,
+    users: Mapping[str, RoadUser] | None = None,
+) -> Scenario:
     """Build the scenario of one window.
 
     With `unit_s` unset the time unit is the configured one, in traffic the calm one where the
-    recording has no conflict at it.
+    recording has no conflict at it. `users` are those of the part, where they are known already.
     """
+    if users is None:
+        users = road_users(part.states)
     if unit_s is None:
         unit_s = first_unit_s(config.window, traffic=part.traffic)
         long_enough = part.span[1] >= seconds_to_ns(CALM_UNIT_S)
         if part.traffic and config.window.unit_s == "auto" and long_enough:
-            calm = _Builder.of(part, config, CALM_UNIT_S)
+            calm = _Builder.of(part, users, config, CALM_UNIT_S)
             if calm.calm():
                 return calm.scenario()
-    return _Builder.of(part, config, unit_s).scenario()
+    return _Builder.of(part, users, config, unit_s).scenario()
 
 
 @dataclass(slots=True)
@@ -75,23 +85,20 @@ class _Builder:
     part: LogPart
     config: Config
     window: Window
-    present: list[str]
-    states: dict[tuple[object, ...], pl.DataFrame]
+    users: dict[str, RoadUser]
     usable: dict[str, UsableTrack] = field(default_factory=dict)
     excluded: dict[str, Exclusion] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, part: LogPart, config: Config, unit_s: float) -> _Builder:
+    def of(cls, part: LogPart, users: Mapping[str, RoadUser], config: Config, unit_s: float) -> _Builder:
         """Sort the road users of a window and choose its frame."""
         start_ns, length_ns, index = part.span
         units = length_ns // seconds_to_ns(unit_s)
         end_ns = start_ns + units * seconds_to_ns(unit_s)
         inside = part.states.filter(pl.col("time_ns").is_between(start_ns, end_ns))
-        present = sorted(inside["vehicle_id"].unique().to_list(), key=_natural)
-        states = part.states.filter(pl.col("vehicle_id").is_in(present))
-        window = Window(index, start_ns, end_ns, unit_s, int(units), _local_frame(states))
-        tracks = states.partition_by("vehicle_id", as_dict=True, maintain_order=True)
-        builder = cls(part, config, window, present, tracks)
+        present = {name: users[name] for name in sorted(inside["vehicle_id"].unique(), key=_natural)}
+        window = Window(index, start_ns, end_ns, unit_s, int(units), _local_frame(present.values()))
+        builder = cls(part, config, window, present)
         builder.sort()
         if config.window.frame == "road" or (config.window.frame == "auto" and part.traffic):
             builder.turn(road_yaw(builder.bodies(), window.units, unit_s))
@@ -99,18 +106,15 @@ class _Builder:
 
     def sort(self) -> None:
         """Tell who can be planned from who cannot, and why."""
-        for vehicle_id in self.present:
-            track = self.states[(vehicle_id,)]
-            found = usable_track(
-                track, vehicle_id, self.window, self.config.window, traffic=self.part.traffic
-            )
+        for vehicle_id, user in self.users.items():
+            found = usable_track(user, self.window, self.config.window, traffic=self.part.traffic)
             own = self.config.vehicles.by_id.get(vehicle_id)
             reason = ""
             if isinstance(found, Exclusion):
                 self.excluded[vehicle_id] = found
                 continue
-            if track["role"].drop_nulls().is_in(["pedestrian", "bicycle", "other"]).any():
-                reason, detail = "not_a_vehicle", f"{track['role'][0]}: an obstacle that moves as recorded"
+            if user.role != "vehicle":
+                reason, detail = "not_a_vehicle", f"{user.role}: an obstacle that moves as recorded"
             elif own is not None and not own.cooperative:
                 reason, detail = "uncooperative", "marked so: an obstacle that moves as recorded"
             elif vehicle_id in self.part.parked:
@@ -142,13 +146,13 @@ class _Builder:
         """Dimensions of a road user, and where they come from."""
         vehicles = self.part.scene.vehicles
         info = next((v for v in vehicles if v.vehicle_id == vehicle_id), VehicleInfo(vehicle_id))
-        return vehicle_dimensions(self.states[(vehicle_id,)], info, self.config.vehicles)
+        return vehicle_dimensions(self.users[vehicle_id].sizes, info, self.config.vehicles)
 
     def scenario(self) -> Scenario:
         """The scenario of the window."""
         window = self.window
         participants = tuple(self.participant(vehicle_id) for vehicle_id in self.usable)
-        moving = (self.obstacle(vehicle_id) for vehicle_id in self.present)
+        moving = (self.obstacle(vehicle_id) for vehicle_id in self.users)
         return Scenario(
             window=window,
             participants=participants,
@@ -158,7 +162,7 @@ class _Builder:
             ),
             bounds_m=_bounds(self.part.scene.bounds, window.frame),
             excluded=tuple(self.excluded.values()),
-            vehicles_present=len(self.present),
+            vehicles_present=len(self.users),
             traffic=self.part.traffic,
         )
 
@@ -167,13 +171,15 @@ class _Builder:
         exclusion, usable = self.excluded.get(vehicle_id), self.usable.get(vehicle_id)
         if not (self.part.traffic or (exclusion is not None and exclusion.reason in AS_RECORDED)):
             return None
-        known = known_states(self.states[(vehicle_id,)])
-        if known.is_empty():
+        user = self.users[vehicle_id]
+        if not len(user.times_ns):
             return None
         vulnerable = exclusion is not None and exclusion.reason == "not_a_vehicle"
         size = self.size(vehicle_id)[0]
-        box = _recorded_box(known) if vulnerable else (size.length_m, size.width_m)
-        boxes = np.array(swept_boxes(*known_poses(known, self.window), box, self.window))
+        box = (size.length_m, size.width_m)
+        if vulnerable:
+            box = (user.sizes.get("length_m", _SMALL_M), user.sizes.get("width_m", _SMALL_M))
+        boxes = np.array(swept_boxes(*user.in_frame(self.window), box, self.window))
         if usable is not None:  # it enters before its first whole unit, or leaves after its last
             boxes[usable.first_unit : usable.first_unit + usable.units] = np.nan
         return None if np.isnan(boxes).all() else Obstacle(vehicle_id, read_only(boxes))
@@ -200,22 +206,17 @@ class _Builder:
         )
 
 
-def _recorded_box(track: pl.DataFrame) -> tuple[float, float]:
-    """Length and width of a road user that is no vehicle, 1 m where they are not recorded."""
-    length, width = track["length_m"].drop_nulls(), track["width_m"].drop_nulls()
-    return float(length[0]) if len(length) else 1.0, float(width[0]) if len(width) else 1.0
-
-
 def _natural(vehicle_id: str) -> tuple[int, str]:
     """Sort 2 before 10, and numbers before names."""
     return (int(vehicle_id), "") if vehicle_id.isdecimal() else (1 << 62, vehicle_id)
 
 
-def _local_frame(states: pl.DataFrame) -> Frame:
+def _local_frame(users: Iterable[RoadUser]) -> Frame:
     """Origin at the median position, in whole metres, so that no digit is lost by the shift."""
-    x, y = states["x_m"].median(), states["y_m"].median()
-    if not isinstance(x, float) or not isinstance(y, float):
+    poses = np.concatenate([user.poses for user in users] or [np.empty((0, 3))])
+    if not len(poses):
         return Frame()
+    x, y = np.median(poses[:, :2], axis=0)
     return Frame(float(round(x)), float(round(y)), 0.0)
 
 
@@ -223,24 +224,16 @@ def _local_frame(states: pl.DataFrame) -> Frame:
 
 
 def vehicle_dimensions(
-    track: pl.DataFrame, info: VehicleInfo, config: VehiclesConfig
+    recorded: Mapping[str, float], info: VehicleInfo, config: VehiclesConfig
 ) -> tuple[Dimensions, str]:
     """Dimensions from the log, else from the config, else the defaults; and which of the three."""
-
-    def recorded(name: str) -> float | None:
-        values = track[name].drop_nulls()
-        finite = values.filter(values.is_finite())
-        if name != "rear_axle_to_centre_m":
-            finite = finite.filter(finite > 0)
-        return float(finite[0]) if len(finite) else None
-
     own = config.by_id.get(info.vehicle_id)
     sources: list[str] = []
 
     def pick(name: str, default: float) -> float:
         told = getattr(info.dimensions, name, None)
         for source, value in (
-            ("log", recorded(name)),
+            ("log", recorded.get(name)),
             ("log", told if told is not None and math.isfinite(told) else None),
             ("config", None if own is None else getattr(own, name)),
         ):

@@ -8,17 +8,23 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 import polars as pl
+from numpy.typing import NDArray
 
 from istc_replay.datatypes import Exclusion, FloatArray, Window, read_only
 from istc_replay.geometry import box_corners, rotate, to_frame
 from istc_replay.units import NS_PER_S
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from istc_replay.config import WindowConfig
 
 #: A recording with a hole longer than this many median sample periods is not planned across it.
 HOLE_PERIODS = 3.0
 _LEAST_HOLE_S = 0.5
+#: Columns of a pose, and of a vehicle's size.
+_POSE = ("x_m", "y_m", "heading_rad")
+_SIZES = ("length_m", "width_m", "wheelbase_m", "rear_axle_to_centre_m")
 #: Backing up faster than this is driving in reverse, which eq. (18) does not know.
 _REVERSING_MPS = -0.5
 
@@ -48,57 +54,100 @@ def turned_poses(poses: FloatArray, yaw_rad: float) -> FloatArray:
     return read_only(np.column_stack([rotate(poses[:, :2], -yaw_rad), poses[:, 2] - yaw_rad]))
 
 
-def known_states(track: pl.DataFrame) -> pl.DataFrame:
-    """States with position and heading, one an instant."""
-    known = track.filter(
-        pl.all_horizontal(pl.col(name).is_finite().fill_null(False) for name in ("x_m", "y_m", "heading_rad"))
+@dataclass(frozen=True, slots=True, eq=False)
+class RoadUser:
+    """What a log tells of a road user around one window, map frame.
+
+    `times_ns` (S,) increasing, `poses` (S, 3) x, y, unwrapped heading, and `speeds_mps` (S,) are of
+    the states with position and heading; a speed is NaN where it is unknown. `missing` names a
+    column that no state has. `sizes` are the first that are told, by the name of the column.
+    """
+
+    vehicle_id: str
+    times_ns: NDArray[np.int64]
+    poses: FloatArray
+    speeds_mps: FloatArray
+    missing: str
+    role: str
+    sizes: Mapping[str, float]
+
+    def in_frame(self, window: Window) -> tuple[FloatArray, FloatArray]:
+        """Times (S,) [s from the window's start] and poses (S, 3) in the corridor frame."""
+        times = (self.times_ns - window.start_ns) / NS_PER_S
+        points = to_frame(self.poses[:, :2], window.frame)
+        return times, np.column_stack([points, self.poses[:, 2] - window.frame.yaw_rad])
+
+
+def road_users(states: pl.DataFrame) -> dict[str, RoadUser]:
+    """Sort the states of a part of a log by road user."""
+    names, rows = np.unique(np.array(states["vehicle_id"].to_list(), dtype=object), return_inverse=True)
+    order = np.argsort(rows, kind="stable")
+    ends = np.searchsorted(rows[order], np.arange(1, len(names) + 1))
+    columns = {name: states[name].cast(pl.Float64).to_numpy() for name in (*_POSE, "speed_mps", *_SIZES)}
+    nulls = {name: states[name].is_null().to_numpy() for name in _POSE}
+    times, roles = states["time_ns"].to_numpy(), states["role"].to_list()
+    found = {}
+    for name, own in zip(names.tolist(), np.split(order, ends[:-1]), strict=True):
+        found[name] = _road_user(name, own, times, columns, nulls, [roles[row] for row in own.tolist()])
+    return found
+
+
+def _road_user(
+    name: str,
+    rows: NDArray[np.int64],
+    times_ns: NDArray[np.int64],
+    columns: Mapping[str, FloatArray],
+    nulls: Mapping[str, NDArray[np.bool_]],
+    roles: list[str | None],
+) -> RoadUser:
+    poses = np.stack([columns[column][rows] for column in _POSE], axis=-1)
+    known = np.isfinite(poses).all(axis=1)
+    times, first = np.unique(times_ns[rows][known], return_index=True)
+    poses = poses[known][first]
+    poses[:, 2] = np.unwrap(poses[:, 2])
+    sizes = {}
+    for column in _SIZES:
+        told = columns[column][rows]
+        told = told[np.isfinite(told) & ((told > 0.0) | (column == "rear_axle_to_centre_m"))]
+        if told.size:
+            sizes[column] = float(told[0])
+    odd = any(role in ("pedestrian", "bicycle", "other") for role in roles)
+    return RoadUser(
+        vehicle_id=name,
+        times_ns=times,
+        poses=poses,
+        speeds_mps=columns["speed_mps"][rows][known][first],
+        missing=next((column for column in _POSE if nulls[column][rows].all()), ""),
+        role=(roles[0] or "other") if odd else "vehicle",
+        sizes=sizes,
     )
-    return known.unique("time_ns", keep="first", maintain_order=True)
-
-
-def known_poses(known: pl.DataFrame, window: Window) -> tuple[FloatArray, FloatArray]:
-    """Times (S,) [s from the window's start] and poses (S, 3) in the corridor frame."""
-    times = (known["time_ns"].to_numpy() - window.start_ns) / NS_PER_S
-    points = to_frame(known.select("x_m", "y_m").to_numpy(), window.frame)
-    headings = np.unwrap(known["heading_rad"].to_numpy() - window.frame.yaw_rad)
-    return times, np.column_stack([points, headings])
 
 
 def usable_track(
-    track: pl.DataFrame, vehicle_id: str, window: Window, config: WindowConfig, *, traffic: bool
+    user: RoadUser, window: Window, config: WindowConfig, *, traffic: bool
 ) -> UsableTrack | Exclusion:
     """Cut a track to the whole units in which it can be planned, or tell why it cannot.
 
     In `traffic` it must also be recorded often enough, agree with its own speed, and not reverse.
     """
-    for column, reason in (
-        ("x_m", "missing_position"),
-        ("y_m", "missing_position"),
-        ("heading_rad", "missing_heading"),
-    ):
-        if track[column].null_count() == len(track):
-            return Exclusion(vehicle_id, reason, f"no state has {column}")
-    known = known_states(track)
-    if len(known) < 2:
-        return Exclusion(
-            vehicle_id, "one_sample", f"{len(known)} usable state(s) in the window; two are needed"
-        )
-    if not known["speed_mps"].is_finite().fill_null(False).all():
-        return Exclusion(vehicle_id, "missing_speed", "no speed is recorded, and none can be derived")
-    times, poses = known_poses(known, window)
-    usable = _unbroken(known, times, poses, vehicle_id, window, config)
-    fault = _fault(usable, times, vehicle_id, config) if traffic else None
+    if user.missing:
+        reason = "missing_heading" if user.missing == "heading_rad" else "missing_position"
+        return Exclusion(user.vehicle_id, reason, f"no state has {user.missing}")
+    if len(user.times_ns) < 2:
+        detail = f"{len(user.times_ns)} usable state(s) in the window; two are needed"
+        return Exclusion(user.vehicle_id, "one_sample", detail)
+    if not np.isfinite(user.speeds_mps).all():
+        return Exclusion(user.vehicle_id, "missing_speed", "no speed is recorded, and none can be derived")
+    times, poses = user.in_frame(window)
+    usable = _unbroken(user, times, poses, window, config)
+    fault = _fault(usable, times, user.vehicle_id, config) if traffic else None
     return fault or usable
 
 
 def _unbroken(
-    known: pl.DataFrame,
-    times: FloatArray,
-    poses: FloatArray,
-    vehicle_id: str,
-    window: Window,
-    config: WindowConfig,
+    user: RoadUser, times: FloatArray, poses: FloatArray, window: Window, config: WindowConfig
 ) -> UsableTrack | Exclusion:
+    vehicle_id = user.vehicle_id
     periods = np.diff(times)
     # A hole that lies outside the window is none of its business.
     periods[(times[1:] <= 0.0) | (times[:-1] >= window.units * window.unit_s)] = 0.0
@@ -120,7 +169,7 @@ def _unbroken(
         end_unit - first_unit,
         read_only(at),
         read_only(np.stack([np.interp(at, times, column) for column in poses.T], axis=-1)),
-        read_only(np.interp(at, times, known["speed_mps"].to_numpy())),
+        read_only(np.interp(at, times, user.speeds_mps)),
     )
 
 

@@ -12,7 +12,7 @@ import pytest
 from istc_replay.config import Config
 from istc_replay.coordinate import Planners, plan_part, plan_window
 from istc_replay.datatypes import Log, StaticScene, Trajectory, WindowPlan, WindowStatus
-from istc_replay.field import lateral_excursion_m, least_cover, prepare
+from istc_replay.field import Repairs, lateral_excursion_m, least_cover, prepare
 from istc_replay.pipeline.replay import Replay, replay_read
 from istc_replay.road_frame import Body, conflicts, heading_slack, road_yaw
 from istc_replay.scenario import build_scenario, build_scenarios
@@ -90,6 +90,10 @@ def map_motion(plan: WindowPlan) -> dict[str, np.ndarray]:
     c, s = np.cos(frame.yaw_rad), np.sin(frame.yaw_rad)
     turn = np.array([[c, -s], [s, c]])
     return {t.vehicle_id: t.states[:, :2] @ turn.T + (frame.x_m, frame.y_m) for t in plan.trajectories}
+
+
+#: A car that stands, and at the end moves on by a metre.
+CREEP = np.maximum(np.arange(41) / 10.0 - 3.0, 0.0)
 
 
 # A slower car ahead of a faster one that swerves beside it, and one in the next lane.
@@ -185,13 +189,20 @@ def test_the_gap_is_lowered_to_what_was_recorded_and_the_certificate_holds_it() 
     assert done.exit_code == 0
 
 
-def test_a_pair_without_a_way_is_named_and_the_others_are_planned_around_it() -> None:
-    ghost = driver("9", 0.5, 1.0)  # recorded through vehicle 1
+@pytest.mark.parametrize(
+    ("lane_m", "ahead_m", "reason"),
+    # Recorded through vehicle 1, and bumper to bumper with it at 12 m/s.
+    [(0.5, 1.0, "overlap_at_start"), (0.0, 4.55, "no_relation")],
+)
+def test_a_pair_without_a_way_is_named_and_the_others_are_planned_around_it(
+    lane_m: float, ahead_m: float, reason: str
+) -> None:
+    ghost = driver("9", lane_m, ahead_m)
     done, window = replayed(log_of(driver("1"), driver("2", 5.0), driver("3", -6.0), ghost))
     assert window["status"] == "partial"
     frozen = {entry["vehicle_id"]: entry for entry in window["frozen"]}
     assert set(frozen) == {"1", "9"}
-    assert all(entry["reason"] == "no_relation" for entry in frozen.values())
+    assert all(entry["reason"] == reason for entry in frozen.values())
     assert (window["vehicles_certified"], window["vehicles_plannable"], window["vehicles_present"]) == (
         2,
         4,
@@ -202,6 +213,25 @@ def test_a_pair_without_a_way_is_named_and_the_others_are_planned_around_it() ->
     of_plans = done.result.states.filter(pl.col("source") == "planned")
     assert set(of_plans["vehicle_id"].unique()) == {"2", "3"}
     assert done.exit_code == 4
+
+
+def test_a_close_pair_is_planned_at_a_finer_time_unit_before_any_is_frozen() -> None:
+    # 2.2 m between the bumpers at 12 m/s: a least cube is 6 m longer than the car at 0.5 s, 1.5 m at 0.125 s.
+    plan = planned(log_of(driver("1"), driver("2", 0.0, 6.7), driver("3", 4.0)))
+    assert plan.scenario.window.unit_s == 0.125
+    assert (plan.frozen, len(plan.trajectories)) == ((), 3)
+
+
+def test_cars_that_pass_closely_at_an_angle_are_held_to_their_headings() -> None:
+    # 0.03 m beside each other, one standing at 4 degrees: headings free by a degree leave no room.
+    width_m = 1.8 * np.cos(np.radians(4.0)) / 2.0 + 4.5 * np.sin(np.radians(4.0)) / 2.0 + 0.9
+    other = driver(
+        "2", width_m + 0.03, 0.0, speed_mps=0.0, heading_rad=np.full(41, np.radians(4.0)), x_m=5.0 + CREEP
+    )
+    plan = planned(log_of(driver("1"), other))
+    assert (plan.frozen, len(plan.trajectories)) == ((), 2)
+    slack = {g.vehicle_id: np.degrees(np.asarray(g.slack_rad)) for g in plan.guidance}
+    assert slack["2"].min() == pytest.approx(0.2)
 
 
 def test_the_fewest_vehicles_give_way() -> None:
@@ -307,7 +337,7 @@ def test_preparation_keeps_neighbours_narrow() -> None:
     log = log_of(driver("1"), driver("2", 2.2), driver("3", 12.0))
     config = settled_config(log, Config())
     scenario = build_scenario(first_part(log, config), config, 0.5)
-    ready = prepare(scenario, config, RecordingRepairer(config.trajectories), 20.0)
+    ready = prepare(scenario, config, Repairs(RecordingRepairer(config.trajectories)), 20.0)
     slack = {g.vehicle_id: np.degrees(np.asarray(g.slack_rad)) for g in ready.guidance}
     assert slack["1"].max() == pytest.approx(1.5, abs=0.05)
     assert slack["3"].max() > 3.0

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     import polars as pl
 
     from istc_replay.config import Config
-    from istc_replay.datatypes import Certificate, WindowPlan
+    from istc_replay.datatypes import Certificate, Result, WindowPlan
     from istc_replay.windows import LogPart
 
 
@@ -36,6 +36,8 @@ def _certified(
     plan: WindowPlan, part: LogPart, config: Config
 ) -> tuple[tuple[Certificate, ...], tuple[dict[str, Any], ...]]:
     """The certificates, and what was recorded against the plan."""
+    import polars as pl
+
     from istc_replay.config import render_config
     from istc_replay.export.result_mcap import result_bytes
     from istc_replay.export.summary import summarise
@@ -43,12 +45,27 @@ def _certified(
     from istc_replay.safety.against_plan import against_plan
     from istc_replay.safety.certificate import certify
 
-    log = Log("", "", True, 0, 0, 0, 0, None, None, (), part.states, part.scene, ())
+    # What was recorded is the log's own; what was planned is read back from the bytes.
+    log = Log("", "", True, 0, 0, 0, 0, None, None, (), part.states.clear(), part.scene, ())
     hoped = replace(plan, status=WindowStatus.CERTIFIED)
     summary = summarise(log, [WindowOutcome(hoped)], {}, "")
     written = result_bytes(log, [hoped], (), summary, render_config(config), {}, shown=False)
-    draft = read_result(written)
+    result = read_result(written)
+    draft = replace(result, states=pl.concat([_recorded_rows(plan, part, result), result.states]))
     return certify(draft, config), tuple(against_plan(draft, config).to_dicts())
+
+
+def _recorded_rows(plan: WindowPlan, part: LogPart, result: Result) -> pl.DataFrame:
+    """The recorded states as a result tells them: with the window that they fall into."""
+    import polars as pl
+
+    window = plan.scenario.window
+    within = pl.col("time_ns").is_between(window.start_ns, window.end_ns)
+    recorded = part.states.with_columns(
+        source=pl.lit("recorded"),
+        window=pl.when(within).then(pl.lit(window.index, pl.Int32)),
+    )
+    return recorded.select(result.states.columns)
 
 
 def _sized(states: pl.DataFrame, plan: WindowPlan) -> pl.DataFrame:

@@ -26,8 +26,8 @@ _POSITION, _HEADING, _STEERING_RATE, _JERK, _CURVATURE = 20.0, 5.0, 0.5, 0.02, 0
 #: What the start may differ by from the recorded one: along x and y [m], heading [rad], speed [m/s].
 _START_M, _START_RAD, _START_MPS = 0.025, math.radians(6.0), 2.0
 _STEP_S = 0.25
-#: Poses in a control interval, for guidance at every unit boundary.
-_SUBSTEPS = 5
+#: Poses in a control interval: guidance has one at every unit boundary, down to half an interval.
+_SUBSTEPS = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,8 +76,7 @@ class RecordingRepairer:
         tuple
             The motion, None where the NLP finds none, and the record of the solve.
         """
-        per_unit = max(1, math.ceil(unit_s / _STEP_S - 1e-9))
-        step_s, intervals = unit_s / per_unit, participant.units * per_unit
+        step_s, intervals = _cut(participant.units, unit_s)
         recording, size = participant.recording, participant.dimensions
         first_s = participant.first_unit * unit_s
         at_s = np.asarray(first_s + np.arange(intervals + 1) * step_s, dtype=np.float64)
@@ -146,6 +145,17 @@ class RecordingRepairer:
         return self._compiled[key]
 
 
+def _cut(units: int, unit_s: float) -> tuple[float, int]:
+    """Length and number of control intervals: `_STEP_S` where whole ones fill the units, else finer."""
+    samples = unit_s * _SUBSTEPS / _STEP_S
+    whole = round(units * unit_s / _STEP_S)
+    fills = whole >= 1 and abs(whole * _STEP_S - units * unit_s) < 1e-9
+    if fills and abs(samples - round(samples)) < 1e-9:
+        return _STEP_S, whole
+    per_unit = max(1, math.ceil(unit_s / _STEP_S - 1e-9))
+    return unit_s / per_unit, units * per_unit
+
+
 def _build(intervals: int, step_s: float, iterations: int) -> ca.Function:
     states = [ca.SX.sym(f"s{i}", 6) for i in range(intervals + 1)]
     controls = [ca.SX.sym(f"u{i}", 2) for i in range(intervals)]
@@ -184,7 +194,7 @@ def _motion(
     origin_m: FloatArray,
 ) -> RepairedMotion:
     size, recording = participant.dimensions, participant.recording
-    dense, _, _ = dense_motion(start, controls, step_s, size.wheelbase_m, step_s / _SUBSTEPS)
+    dense, _, _ = dense_motion(start, controls, step_s, size.wheelbase_m, _STEP_S / _SUBSTEPS)
     states = np.vstack([dense[:, :-1].reshape(-1, 6), dense[-1, -1]])
     per_interval = dense.shape[1] - 1
     centres = shift_along(states[:, 0], states[:, 1], states[:, 2], size.rear_axle_to_centre_m) + origin_m
