@@ -19,6 +19,7 @@ from istc_replay.cli.compare import compare
 from istc_replay.cli.config import config
 from istc_replay.cli.export import export
 from istc_replay.cli.figures import figures
+from istc_replay.cli.fleet import fleet
 from istc_replay.cli.info import info
 from istc_replay.cli.merge import merge
 from istc_replay.cli.recover import recover
@@ -78,7 +79,7 @@ def cli() -> None:
 
 
 for _command in (
-    *(run, info, audit, view, figures, compare, export),
+    *(run, fleet, info, audit, view, figures, compare, export),
     *(clip, merge, recover, sample, bench, config),
 ):
     cli.add_command(_command)

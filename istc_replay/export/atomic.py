@@ -36,7 +36,7 @@ def prepare_folder(path: Path) -> Path:
         with tempfile.TemporaryFile(dir=path):
             pass
     except OSError as error:
-        raise _refused(path, error) from None
+        raise refused(path, error) from None
     return path
 
 
@@ -66,7 +66,7 @@ def atomic_file(path: Path) -> Iterator[Path]:
             with suppress(OSError):
                 temporary.unlink(missing_ok=True)
         if isinstance(error, OSError):
-            raise _refused(path, error) from None
+            raise refused(path, error) from None
         raise
 
 
@@ -87,7 +87,8 @@ def _flush_to_disk(path: Path) -> None:
         os.fsync(file.fileno())
 
 
-def _refused(path: Path, error: OSError) -> ExportError:
+def refused(path: Path, error: OSError) -> ExportError:
+    """Tell of an output that cannot be written: the path, why, and the remedy."""
     why = error.strerror or str(error) or type(error).__name__
     remedy = _REMEDIES.get(error.errno or 0, _REMEDY)
     return ExportError(f"{path}: cannot be written: {why}; {remedy}")

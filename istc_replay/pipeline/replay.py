@@ -21,11 +21,13 @@ from istc_replay.pipeline.windows import plan_windows, silent
 from istc_replay.pipeline.work_folder import WorkFolder
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Collection, Iterator, Sequence
 
     from istc_replay.datatypes import Log, Result, WindowOutcome
     from istc_replay.safety.log_audit import Audit
 
+#: What `run_log` writes beside result.mcap and summary.json.
+RUN_OUTPUTS = ("view.rrd", "report.html")
 _COMPONENTS = ("istc-replay", "casadi", "cbcbox", "daqp", "mcap", "numpy", "polars", "pyomo", "rerun-sdk")
 
 
@@ -47,11 +49,15 @@ class Stages:
 
 @dataclass(frozen=True, slots=True)
 class Replay:
-    """A finished replay: the result as its file tells it, the file's bytes, and the summary."""
+    """A finished replay: the result as its file tells it, the file's bytes, the summary and the audit.
+
+    Without an `audit`, the summary says why there is none.
+    """
 
     result: Result
     mcap: bytes
     summary: dict[str, Any]
+    audit: Audit | None = None
 
     @property
     def exit_code(self) -> int:
@@ -102,7 +108,7 @@ def replay_log(
     timing = stages or Stages()
     cpu_began = _cpu_s()
     with timing.stage("imports"):
-        _import_method()
+        import_method()
     from istc_replay.ingest.log import read_log
 
     progress("reading", 0, 1)
@@ -184,7 +190,7 @@ def assemble(
         result = read_result(data)
     summary["solves"] = solve_times(plans)
     summary["stages"] = timing.seconds
-    return Replay(result, data, summary)
+    return Replay(result, data, summary, None if isinstance(audit, str) else audit)
 
 
 def run_log(
@@ -201,25 +207,49 @@ def run_log(
     ExportError
         If an output cannot be written whole; nothing half-written stays.
     """
-    stages = Stages()
-    with stages.stage("imports"):
-        from istc_replay.export.atomic import atomic_file, prepare_folder
-        from istc_replay.export.report import report_html
-        from istc_replay.export.rerun_view import write_view
+    from istc_replay.export.atomic import prepare_folder
 
+    stages = Stages()
     prepare_folder(folder)
     done = replay_log(path, config, jobs=jobs, output=folder, progress=progress, stages=stages)
     windows = len(done.summary["windows"])
     progress("writing", windows, windows)
-    with stages.stage("write_mcap"), atomic_file(folder / "result.mcap") as file:
+    write_run(done, folder, config, path.name, stages)
+    return done
+
+
+def write_run(
+    done: Replay,
+    folder: Path,
+    config: Config,
+    title: str,
+    stages: Stages | None = None,
+    products: Collection[str] = RUN_OUTPUTS,
+) -> None:
+    """Write a replay's result.mcap, summary.json and the `products` to a folder that is there.
+
+    Raises
+    ------
+    ExportError
+        If an output cannot be written whole; nothing half-written stays.
+    """
+    from istc_replay.export.atomic import atomic_file
+
+    timing = stages or Stages()
+    with timing.stage("write_mcap"), atomic_file(folder / "result.mcap") as file:
         file.write_bytes(done.mcap)
-    with stages.stage("view_rrd"):
-        write_view(done.result, config.view, folder / "view.rrd")
-    with stages.stage("report_html"), atomic_file(folder / "report.html") as file:
-        file.write_text(report_html(done.result, path.name), encoding="utf-8")
+    if "view.rrd" in products:
+        with timing.stage("view_rrd"):
+            from istc_replay.export.rerun_view import write_view
+
+            write_view(done.result, config.view, folder / "view.rrd")
+    if "report.html" in products:
+        with timing.stage("report_html"), atomic_file(folder / "report.html") as file:
+            from istc_replay.export.report import report_html
+
+            file.write_text(report_html(done.result, title), encoding="utf-8")
     with atomic_file(folder / "summary.json") as file:
         file.write_text(json.dumps(done.summary, indent=1, allow_nan=False) + "\n", encoding="utf-8")
-    return done
 
 
 def result_folders(paths: Sequence[Path], output: Path) -> dict[Path, Path]:
@@ -232,11 +262,16 @@ def result_folders(paths: Sequence[Path], output: Path) -> dict[Path, Path]:
     """
     folders: dict[Path, Path] = {}
     for path in paths:
-        folder = output / (path.stem or "log")
+        folder = output / folder_name(path)
         if folder in folders.values():
             raise UsageError(f"{path}: another log writes to {folder} too; run them apart, or rename one")
         folders[path] = folder
     return folders
+
+
+def folder_name(path: Path) -> str:
+    """Name of a log's folder: its stem, without dots before it, which would hide it or lead elsewhere."""
+    return path.stem.lstrip(".") or "log"
 
 
 @cache
@@ -255,7 +290,7 @@ def versions() -> dict[str, str]:
     return found
 
 
-def _import_method() -> None:
+def import_method() -> None:
     """Import the heavy libraries at one place, so that their time shows as a stage of its own."""
 
 

@@ -1,0 +1,84 @@
+"""Fleets of small logs, each planned for real in fast mode."""
+
+from __future__ import annotations
+
+import importlib.util
+import os
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+from istc_replay.fleet.cell import Limits
+from istc_replay.fleet.drive import Fleet, Orders
+from istc_replay.fleet.engine import LocalEngine
+from istc_replay.fleet.inputs import find_logs
+from istc_replay.fleet.telling import Summary
+
+ROOT = Path(__file__).resolve().parents[2]
+FAST = '[corridors]\nmode = "fast"\n'
+FAULTS = Path(__file__).parent / "faults"
+
+RunFleet = Callable[..., Summary]
+
+
+def _script(name: str) -> ModuleType:
+    spec = importlib.util.spec_from_file_location(name, ROOT / "scripts" / f"{name}.py")
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+@pytest.fixture(scope="session")
+def fleet_logs() -> ModuleType:
+    """The generator of logs."""
+    return _script("fleet_logs")
+
+
+@pytest.fixture(scope="session")
+def four_logs(fleet_logs: ModuleType, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of four logs, not to be changed."""
+    folder = tmp_path_factory.mktemp("four")
+    fleet_logs.write_logs(folder, 4)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def run_fleet() -> RunFleet:
+    """Do logs in a folder with two processes, result and tables alone; options are those of `Orders`."""
+
+    def run(
+        output: Path,
+        *logs: Path,
+        jobs: int = 2,
+        limits: Limits = Limits(4000.0, 60.0),  # noqa: B008
+        **orders: object,
+    ) -> Summary:
+        options = {"config_toml": FAST, "products": (), **orders}
+        fleet = Fleet(output, Orders(**options))  # type: ignore[arg-type]
+        return fleet.run(find_logs([str(log) for log in logs]), lambda: LocalEngine(jobs, limits))
+
+    return run
+
+
+@pytest.fixture
+def with_faults(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Processes that do jobs fail at logs named crash*, hang*, hungry* and abort*."""
+    known = os.environ.get("PYTHONPATH")
+    monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(FAULTS), *([known] if known else [])]))
+    yield
+    assert sys.path
+
+
+def outputs(folder: Path) -> dict[str, bytes]:
+    """What must repeat byte for byte: results and tables, by their place."""
+    files = (folder / "logs").rglob("*")
+    return {
+        file.relative_to(folder).as_posix(): file.read_bytes()
+        for file in files
+        if file.suffix in (".mcap", ".parquet")
+    }
