@@ -67,6 +67,32 @@ class TopicConfig(Section):
     """Distance from base_link forward to the box centre; needed for base_link."""
 
 
+#: What a column of a table can tell.
+ColumnTarget = Literal[
+    "vehicle_id",
+    "role",
+    "time_ns",
+    "time_us",
+    "time_ms",
+    "time_s",
+    "x_m",
+    "y_m",
+    "heading_rad",
+    "heading_deg",
+    "speed_mps",
+    "velocity_x_mps",
+    "velocity_y_mps",
+    "acceleration_mps2",
+    "steering_rad",
+    "steering_rate_radps",
+    "jerk_mps3",
+    "length_m",
+    "width_m",
+    "wheelbase_m",
+    "rear_axle_to_centre_m",
+]
+
+
 class IngestConfig(Section):
     """Reading logs."""
 
@@ -76,6 +102,8 @@ class IngestConfig(Section):
     """What nav_msgs/Odometry poses name (Autoware: the rear axle)."""
     base_link_to_centre_m: float = 0.0
     """Distance from base_link forward to the box centre, for reference point base_link."""
+    columns: dict[ColumnTarget, str] = Field(default={})
+    """Columns of a table that `convert` reads, by what they tell, such as x_m = "utm_east"."""
     topics: dict[str, TopicConfig] = Field(default={})
     """Per topic, what differs from the above."""
 

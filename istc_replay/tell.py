@@ -9,6 +9,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from istc_replay.datatypes import Log
+    from istc_replay.pipeline.convert import Converted
     from istc_replay.pipeline.copying import Copied
 
 _LINE_LIMIT = 2000
@@ -145,6 +146,19 @@ def copied_lines(copied: Copied) -> Iterator[str]:
     for name, problem in copied.problems:
         where = "" if problem.offset is None else f" at byte {problem.offset}"
         yield f"  {line(name)}: {line(problem.code)}{where}: {line(problem.detail)}"
+
+
+def converted_lines(done: Converted) -> Iterator[str]:
+    """Tell what was converted."""
+    standing = f", {done.obstacles} standing obstacles" if done.obstacles else ""
+    yield (
+        f"{line(done.path)}: {done.states} states of {done.vehicles} road users over {done.span_s:.3f} s"
+        f"{standing}, from {done.kind}"
+    )
+    for note in done.notes:
+        yield f"  {line(note)}"
+    for problem in done.problems:
+        yield f"  {line(problem.code)}: {line(problem.detail)}"
 
 
 def table_lines(rows: Sequence[Sequence[str]]) -> Iterator[str]:

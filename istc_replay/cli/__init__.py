@@ -17,6 +17,7 @@ from istc_replay.cli.bench import bench
 from istc_replay.cli.clip import clip
 from istc_replay.cli.compare import compare
 from istc_replay.cli.config import config
+from istc_replay.cli.convert import convert
 from istc_replay.cli.export import export
 from istc_replay.cli.figures import figures
 from istc_replay.cli.fleet import fleet
@@ -80,6 +81,6 @@ def cli() -> None:
 
 for _command in (
     *(run, fleet, info, audit, view, figures, compare, export),
-    *(clip, merge, recover, sample, bench, config),
+    *(convert, clip, merge, recover, sample, bench, config),
 ):
     cli.add_command(_command)

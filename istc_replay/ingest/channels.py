@@ -39,7 +39,8 @@ VEHICLE_STATE = Mapping(
         )
     }
     | {name: f"dimensions.{name}" for name in ("length_m", "width_m", "wheelbase_m", "rear_axle_to_centre_m")}
-    | {"window": "window"}
+    | {"window": "window", "role": "role"},
+    optional=frozenset({"role"}),
 )
 _OSI = {
     "vehicle_id": "id.value",

@@ -17,11 +17,13 @@ def quoted(text: str, limit: int = 80) -> str:
 class Problems:
     """A list of problems of bounded length: a few of each kind, then how many more there are.
 
-    `lost` tells whether any of them means that a part of the log is missing.
+    `lost` tells whether any of them means that a part of the log is missing; `first_loss` is the
+    first such detail.
     """
 
     def __init__(self) -> None:
         self.lost = False
+        self.first_loss = ""
         self._told: dict[tuple[str, str], list[Problem]] = {}
         self._counts: dict[tuple[str, str], int] = {}
         self._kinds: dict[str, int] = {}
@@ -41,6 +43,7 @@ class Problems:
     def lose(self, code: str, detail: str, offset: int | None = None, kind: str = "") -> None:
         """Tell a fault for which a part of the log is missing."""
         self.lost = True
+        self.first_loss = self.first_loss or detail
         self.add(code, detail, offset, kind)
 
     def found(self) -> tuple[Problem, ...]:

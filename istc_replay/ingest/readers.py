@@ -72,7 +72,7 @@ class Readers:
         if schema is None:
             raise PayloadError("it needs a schema", "schema")
         if format_.family == "istc":
-            meaning.zero_is_unset = _SIZES
+            meaning.zero_is_unset, meaning.roles = _SIZES, _told_roles
             return Reader(ProtobufDecoder(message("VehicleState"), format_.mapping), meaning, self._recorded)
         if format_.message_encoding == "protobuf":
             type_ = message_type(schema)
@@ -155,6 +155,17 @@ def _osi(decoded: Decoded) -> Decoded:
             valid = None if view.valid is None else own.valid | view.valid
             columns[f"time.{unit}"] = Column(values, valid)
     return Decoded(decoded.rows, columns, decoded.bad)
+
+
+def _told_roles(columns: dict[str, Column], count: int) -> Ints:
+    """Role that the message names; a vehicle where it names none, other where it is not known."""
+    column = columns.get("role")
+    if column is None or column.texts is None:
+        return np.zeros(count, np.int64)
+    codes = [ROLES.index(text) if text in ROLES else len(ROLES) - 1 for text in column.texts]
+    codes = [0 if not text else code for text, code in zip(column.texts, codes, strict=True)]
+    roles: Ints = np.array(codes or [0], np.int64)[column.values]
+    return roles
 
 
 def _autoware_roles(columns: dict[str, Column], count: int) -> Ints:

@@ -33,8 +33,8 @@ def recover_log(source: Path, out: Path, progress: Progress = silent) -> Copied:
         for channel in log.counts:
             copy.declare(0, channel)
         if not (log.complete or log.message_count or log.attachments or log.metadata):
-            first = log.problems[0]
-            raise LogError(f"{source}: nothing in it is intact, so nothing is written: {first.detail}")
+            why = log.problems[0].detail
+            raise LogError(f"{source}: nothing in it is intact, so nothing is written: {why}")
         return ()
 
     return write_copy(out, [log], log.profile, fill)
