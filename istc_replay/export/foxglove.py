@@ -12,6 +12,7 @@ from functools import cache
 from itertools import groupby
 
 import numpy as np
+from foxglove_schemas_protobuf.ArrowPrimitive_pb2 import ArrowPrimitive
 from foxglove_schemas_protobuf.Color_pb2 import Color
 from foxglove_schemas_protobuf.CubePrimitive_pb2 import CubePrimitive
 from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
@@ -81,7 +82,7 @@ def _transforms(shown: Sequence[Track], plans: Sequence[WindowPlan]) -> Iterator
         ]
     rows.sort(key=lambda row: row[0])
     for time_ns, group in groupby(rows, key=lambda row: row[0]):
-        stamp = _timestamp(time_ns)
+        stamp = timestamp(time_ns)
         transforms = [
             FrameTransform(
                 timestamp=stamp,
@@ -103,11 +104,11 @@ def _paths(plans: Sequence[WindowPlan]) -> Iterator[Stamped]:
         topic = f"/istc/path/{topic_name(motion.vehicle_id)}"
         start_ns, end_ns = int(motion.times_ns[0]), int(motion.times_ns[-1])
         poses = [_pose(*pose) for pose in motion.poses.tolist()]
-        yield start_ns, topic, PosesInFrame(timestamp=_timestamp(start_ns), frame_id=MAP, poses=poses)
+        yield start_ns, topic, PosesInFrame(timestamp=timestamp(start_ns), frame_id=MAP, poses=poses)
         followed = (motion.vehicle_id, end_ns) in starts
         if end_ns < last_ns and not followed:
             # A path has no lifetime: an empty one takes it off the screen.
-            yield end_ns, topic, PosesInFrame(timestamp=_timestamp(end_ns), frame_id=MAP)
+            yield end_ns, topic, PosesInFrame(timestamp=timestamp(end_ns), frame_id=MAP)
 
 
 # --- the scene -------------------------------------------------------------------------------
@@ -145,12 +146,27 @@ def _car_entity(time_ns: int, track: Track, pose: Sequence[float], lifetime_ns: 
         text=track.label,
     )
     return SceneEntity(
-        timestamp=_timestamp(time_ns),
+        timestamp=timestamp(time_ns),
         frame_id=MAP,
         id=track.entity_id,
         lifetime=_duration(lifetime_ns),
         cubes=[cube],
+        arrows=[_heading_arrow(track, pose)],
         texts=[label] if track.label else [],
+    )
+
+
+def _heading_arrow(track: Track, pose: Sequence[float]) -> ArrowPrimitive:
+    """Where the front is: from the middle of the roof to the nose."""
+    x, y, heading = pose
+    reach, width = 0.5 * track.length_m, 0.25 * track.width_m
+    return ArrowPrimitive(
+        pose=_pose(x, y, heading, _CAR_HEIGHT_M),
+        shaft_length=0.6 * reach,
+        shaft_diameter=0.5 * width,
+        head_length=0.4 * reach,
+        head_diameter=width,
+        color=_colour(track.colour, 1.0),
     )
 
 
@@ -162,7 +178,7 @@ def _box_entity(block: Block) -> SceneEntity:
         color=_colour(block.colour, block.opacity),
     )
     return SceneEntity(
-        timestamp=_timestamp(block.start_ns),
+        timestamp=timestamp(block.start_ns),
         frame_id=MAP,
         id=block.entity_id,
         lifetime=_duration(block.end_ns - block.start_ns),
@@ -172,7 +188,7 @@ def _box_entity(block: Block) -> SceneEntity:
 
 def _still_entities(scene: StaticScene, start_ns: int) -> list[SceneEntity]:
     """What stands for the whole log: lane lines, obstacles and bounds, without a lifetime."""
-    stamp = _timestamp(start_ns)
+    stamp = timestamp(start_ns)
     entities = [
         SceneEntity(
             timestamp=stamp, frame_id=MAP, id=f"lane/{index}", lines=[_line(line.points_m, closed=False)]
@@ -225,7 +241,8 @@ def _colour(colour: Colour, opacity: float) -> Color:
     return Color(r=red / 255.0, g=green / 255.0, b=blue / 255.0, a=opacity)
 
 
-def _timestamp(time_ns: int) -> Timestamp:
+def timestamp(time_ns: int) -> Timestamp:
+    """An instant as protobuf has it."""
     seconds, nanos = divmod(time_ns, NS_PER_S)
     return Timestamp(seconds=seconds, nanos=nanos)
 

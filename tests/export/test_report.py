@@ -15,7 +15,8 @@ import pytest
 from istc_replay.datatypes import Result
 from istc_replay.export import report
 from istc_replay.export.report import report_html
-from istc_replay.export.report.markup import Html, element, join, name, names, number, shortened, visible
+from istc_replay.export.report.markup import Html, element, join, name, names, number
+from istc_replay.export.text import shortened, visible
 from istc_replay.states import SOLVES_SCHEMA, conform
 
 TAGS = """

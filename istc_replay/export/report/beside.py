@@ -23,10 +23,10 @@ from istc_replay.export.report.markup import (
     number,
     prose,
     table,
-    visible,
 )
 from istc_replay.export.report.page import page
 from istc_replay.export.report.pictures import inline_svg
+from istc_replay.export.text import visible
 
 #: Windows with pictures; the size at which pictures end whatever their number [characters].
 _PICTURED, _PICTURES_LIMIT = 6, 12_000_000

@@ -17,11 +17,10 @@ from istc_replay.export.report.markup import (
     name,
     number,
     prose,
-    shortened,
     table,
-    visible,
 )
 from istc_replay.export.report.verdict import Verdict
+from istc_replay.export.text import shortened, visible
 from istc_replay.units import NS_PER_S
 
 #: More problems of one log than this are counted, not listed.

@@ -7,6 +7,8 @@ import math
 from collections.abc import Iterable, Sequence
 from typing import Any
 
+from istc_replay.export.text import shortened, visible
+
 #: Names longer than this are cut in the middle; their titles show a little more.
 _NAME_CHARACTERS = 40
 _TITLE_CHARACTERS = 240
@@ -67,29 +69,10 @@ def _markup(child: Content) -> str:
     return join(child)
 
 
-def visible(text: str) -> str:
-    r"""Return text with its unprintable characters written out, as \n or \u202e.
-
-    Control characters, lone surrogates and marks that turn the writing direction would be
-    invisible, unwritable, or reorder what stands around them.
-    """
-    if text.isprintable():
-        return text
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode("ascii") for c in text)
-
-
-def shortened(text: str, characters: int = _NAME_CHARACTERS) -> str:
-    """Cut a long text in its middle."""
-    if len(text) <= characters:
-        return text
-    tail = characters // 3
-    return f"{text[: characters - tail - 1]}…{text[-tail:]}"
-
-
 def name(text: Any) -> Html:
     """An untrusted name: isolated from the text around it, short, its title longer."""
     whole = visible(str(text)[:_TITLE_CHARACTERS]) + ("…" if len(str(text)) > _TITLE_CHARACTERS else "")
-    short = shortened(visible(shortened(str(text))), 2 * _NAME_CHARACTERS)
+    short = shortened(visible(shortened(str(text), _NAME_CHARACTERS)), 2 * _NAME_CHARACTERS)
     kind = "name long" if len(short) > _WORD_CHARACTERS else "name"
     return element("bdi", short, class_=kind, title=None if short == whole else whole)
 

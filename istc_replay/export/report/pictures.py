@@ -6,8 +6,9 @@ import re
 
 from istc_replay.export.figures import WindowScene, draw_scene, figure_bytes
 from istc_replay.export.figures.space_time import PANELS
-from istc_replay.export.report.markup import Html, captioned, element, join, names, number, visible
+from istc_replay.export.report.markup import Html, captioned, element, join, names, number
 from istc_replay.export.report.page import THEME
+from istc_replay.export.text import visible
 
 _TAG = re.compile(r"<[^>]*>")
 _IDENTIFIER = re.compile(r' id="([^"]*)"')
