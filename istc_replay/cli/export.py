@@ -10,27 +10,29 @@ import click
 from istc_replay import tell
 from istc_replay.cli.common import FILE, chosen_formats
 
-_TABLE_FORMATS: tuple[Literal["parquet", "csv"], ...] = ("parquet", "csv")
+_FORMATS: tuple[Literal["parquet", "csv", "foxglove"], ...] = ("parquet", "csv", "foxglove")
 
 
 @click.command()
 @click.argument("source", type=FILE)
-@click.option("-o", "--output", type=FILE, required=True, help="Folder of the tables.")
+@click.option("-o", "--output", type=FILE, required=True, help="Folder of the files.")
 @click.option(
-    "--format", "formats", default="parquet", show_default=True, help="parquet, csv, or both with a comma."
+    "--format", "formats", default="parquet", show_default=True, help="parquet, csv, foxglove, with commas."
 )
 @click.option("-c", "--config", "config_path", type=FILE, help="Configuration (TOML), for a log.")
 def export(source: Path, output: Path, formats: str, config_path: Path | None) -> int:
     """Write the tables of SOURCE, a log or a result (its folder or result.mcap).
 
+    foxglove is no table but the layout in which Foxglove and Lichtblick show a result.
+
     \b
     Example:  istc-replay export results/intersection_turn_first -o tables --format parquet,csv
     """
     from istc_replay.config import load_config
-    from istc_replay.pipeline.tables import export_tables
+    from istc_replay.pipeline.tables import export_files
 
-    chosen = chosen_formats(formats, _TABLE_FORMATS)
-    complete, files = export_tables(source, output, chosen, load_config(config_path))
+    chosen = chosen_formats(formats, _FORMATS)
+    complete, files = export_files(source, output, chosen, load_config(config_path))
     for file in files:
         click.echo(tell.line(file))
     return 0 if complete else 3

@@ -96,11 +96,9 @@ def _flat(tree: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]
 
 
 def _findings(result: Result) -> dict[str, int]:
-    """Findings by severity and rule."""
-    table: pl.DataFrame | None = getattr(result, "findings", None)
-    if table is None:
-        return {}
-    return dict(Counter(f"{row['severity']} {row['rule']}" for row in table.iter_rows(named=True)))
+    """Findings by severity, or verdict where there is none, and rule."""
+    rows = result.findings.iter_rows(named=True)
+    return dict(Counter(f"{row['severity'] or row['verdict']} {row['rule']}" for row in rows))
 
 
 # --- one window ------------------------------------------------------------------------------

@@ -42,34 +42,36 @@ def log_messages(
         if level is not None:
             time_ns = starts[check.window] + (0 if check.time_s is None else seconds_to_ns(check.time_s))
             margin = "" if check.margin is None else f" by {check.margin:.4g} {check.unit}"
-            text = f"{check.check}: {check.verdict}{margin}{_whom(check.vehicles)}: {check.detail}"
-            yield _said(time_ns, level, f"window {check.window}", text)
+            text = f"{check.check}: {check.verdict}{margin}{_whom(check.vehicles)}"
+            yield _said(time_ns, level, f"window {check.window}", text, check.detail)
     for row in findings.iter_rows(named=True) if findings is not None else ():
         told = row["value"]
         figure = "" if told is None else f" {told:.3g} {row['unit'] or ''}".rstrip()
         severity = row["severity"] or row["verdict"]
-        text = f"{severity}: {row['rule']}{figure}{_whom(row['vehicles'] or ())}: {row['detail'] or ''}"
+        text = f"{severity}: {row['rule']}{figure}{_whom(row['vehicles'] or ())}"
         level = _SEVERITIES.get(row["severity"], _INFO)
-        yield _said(
-            row["worst_ns"], level, "audit", text, row["topic"] or "", max(row["message_index"] or 0, 0)
-        )
+        place = row["topic"] or "", max(row["message_index"] or 0, 0)
+        yield _said(row["worst_ns"], level, "audit", text, row["detail"], place)
 
 
 def _window(plan: WindowPlan) -> Iterator[Stamped]:
     window, name = plan.scenario.window, f"window {plan.scenario.window.index}"
     status = str(plan.status).replace("_", " ")
-    text = f"{status}: {plan.reason}" if plan.reason else status
-    yield _said(window.start_ns, _STATUSES.get(plan.status, _ERROR), name, text)
+    yield _said(window.start_ns, _STATUSES.get(plan.status, _ERROR), name, status, plan.reason)
     for left in (*plan.frozen, *plan.scenario.excluded):
-        detail = f"{left.vehicle_id} has no plan: {left.reason}: {left.detail}"
-        yield _said(window.start_ns, _WARNING, name, detail)
+        text = f"{shortened(left.vehicle_id, _NAME)} has no plan: {left.reason}"
+        yield _said(window.start_ns, _WARNING, name, text, left.detail)
 
 
 def _whom(vehicles: Sequence[str]) -> str:
     return f", {' and '.join(shortened(vehicle, _NAME) for vehicle in vehicles)}" if vehicles else ""
 
 
-def _said(time_ns: int, level: int, name: str, text: str, file: str = "", line: int = 0) -> Stamped:
+def _said(
+    time_ns: int, level: int, name: str, text: str, detail: str | None, place: tuple[str, int] = ("", 0)
+) -> Stamped:
+    file, line = place
+    text = f"{text}: {detail}" if detail else text
     message = LogMessage(
         timestamp=timestamp(time_ns),
         level=level,  # type: ignore[arg-type]

@@ -24,6 +24,7 @@ from istc_replay.export.encode import (
     solve_records,
 )
 from istc_replay.export.foxglove import foxglove_messages
+from istc_replay.export.foxglove_log import log_messages
 from istc_replay.export.placing import first_ns
 from istc_replay.ingest.result import repeatable_summary
 
@@ -127,6 +128,7 @@ def _all_messages(
         yield from finding_messages(findings)
     if shown:
         yield from foxglove_messages(log, plans, config.vehicles)
+        yield from log_messages(plans, certificates, findings)
 
 
 def _encoded(stamped: Iterator[Stamped]) -> list[tuple[int, str, Any, bytes]]:

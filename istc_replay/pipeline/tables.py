@@ -1,14 +1,53 @@
-"""Tables of a log or a result."""
+"""Tables of a log or a result, and the layout that shows a result elsewhere."""
 
 from __future__ import annotations
 
+import json
 from typing import TYPE_CHECKING, Literal
+
+from istc_replay.errors import UsageError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
     from istc_replay.config import Config
+
+LAYOUT = "foxglove-layout.json"
+
+
+def export_files(
+    source: Path, folder: Path, formats: Sequence[Literal["parquet", "csv", "foxglove"]], config: Config
+) -> tuple[bool, list[Path]]:
+    """Write a log's or a result's files of these formats; returns whether it was whole, and the files.
+
+    Raises
+    ------
+    UsageError
+        If a layout is asked for of a log.
+    """
+    from istc_replay.ingest.result import is_result
+
+    tables: list[Literal["parquet", "csv"]] = [kind for kind in formats if kind != "foxglove"]
+    if "foxglove" not in formats:
+        return export_tables(source, folder, tables, config)
+    if not is_result(source):
+        raise UsageError(f"{source}: a layout fits a result, not a log: run istc-replay on it first")
+    complete, files = export_tables(source, folder, tables, config) if tables else (True, [])
+    return complete, [*files, write_layout(source, folder)]
+
+
+def write_layout(source: Path, folder: Path) -> Path:
+    """Write the layout in which Foxglove and Lichtblick show a result."""
+    from istc_replay.export.atomic import atomic_file, prepare_folder
+    from istc_replay.export.foxglove_layout import foxglove_layout
+    from istc_replay.ingest.result import load_result_folder
+
+    layout = foxglove_layout(load_result_folder(source))
+    path = prepare_folder(folder) / LAYOUT
+    with atomic_file(path) as file:
+        file.write_text(json.dumps(layout, indent=1) + "\n", encoding="utf-8")
+    return path
 
 
 def export_tables(

@@ -131,6 +131,7 @@ def test_the_result_reads_with_the_reference_reader(
         "/istc/obstacles",
         "/istc/solves",
         "/istc/certificates",
+        "/istc/log",
         "/istc/scene",
         "/tf",
     } <= topics

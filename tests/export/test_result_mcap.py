@@ -49,7 +49,7 @@ def without_states(log: Log) -> Log:
 def test_the_topics_are_those_of_the_contract(synthetic_bytes: bytes) -> None:
     cars = ("car%201", "car%202", "car%203")
     per_car = [f"/istc/{kind}/{car}" for kind in ("recorded", "planned", "guidance", "path") for car in cars]
-    shared = ["static", "corridors", "obstacles", "solves", "certificates", "scene"]
+    shared = ["static", "corridors", "obstacles", "solves", "certificates", "scene", "log"]
     assert set(written(synthetic_bytes)) == {*per_car, *(f"/istc/{name}" for name in shared), "/tf"}
 
 
@@ -63,7 +63,7 @@ def test_each_schema_stands_once_in_the_file(synthetic_bytes: bytes) -> None:
     summary = make_reader(io.BytesIO(synthetic_bytes)).get_summary()
     assert summary is not None
     names = [schema.name for schema in summary.schemas.values()]
-    assert len(names) == len(set(names)) == 10
+    assert len(names) == len(set(names)) == 11
     assert {schema.encoding for schema in summary.schemas.values()} == {"protobuf"}
 
 
@@ -250,7 +250,7 @@ def test_more_topics_than_mcap_can_number_are_refused(
     synthetic_plan: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(result_mcap, "_TOPIC_LIMIT", 5)
-    with pytest.raises(ExportError, match="18 topics; an MCAP file has at most 5: cut the log"):
+    with pytest.raises(ExportError, match="19 topics; an MCAP file has at most 5: cut the log"):
         result_bytes(*synthetic_plan, [], {}, "", {})
 
 
