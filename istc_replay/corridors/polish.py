@@ -46,7 +46,7 @@ def polish(
     shape = len(rows.lower), problem.size
     matrix = casadi.DM.triplet(place.tolist(), column.tolist(), casadi.DM(weight), *shape)
     quadratic = share * problem.quadratic
-    hessian = casadi.sparsify(casadi.diag(casadi.DM(2.0 * quadratic)))
+    hessian = _diagonal(2.0 * quadratic)
     solver = casadi.conic(
         "polish",
         "piqp",
@@ -69,3 +69,10 @@ def polish(
     value = rows.value(z)
     excess = max(float((rows.lower - value).max()), float((value - rows.upper).max()))
     return read_only(z) if excess <= FEASIBLE_M else None
+
+
+def _diagonal(values: FloatArray) -> casadi.DM:
+    """A diagonal matrix without its zeros."""
+    at = np.flatnonzero(values)
+    size = len(values)
+    return casadi.DM.triplet(at.tolist(), at.tolist(), casadi.DM(values[at]), size, size)

@@ -118,7 +118,7 @@ class TrajectoryPlanner:
             out = self._excess(task, solution)
             if out.max() <= _TOUCHING_M:
                 return solution
-            extra = raised(task.grid, extra, out)
+            extra = raised(extra, out)
             guess = (solution.states, solution.controls)
         return None
 

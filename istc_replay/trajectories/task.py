@@ -123,7 +123,7 @@ class Task:
         return Undrivable(self.vehicle_id, self.first_unit + row, slack_m, detail)
 
     def data(self, config: TrajectoriesConfig, margin_m: float, extra_m: FloatArray) -> NlpData:
-        """Bounds and parameters of the NLP, eq. (18) and (19); `extra_m` (P, 4) is added to the margins."""
+        """Bounds and parameters of the NLP, eq. (18) and (19); `extra_m` (S-1, 4) is added to the margins."""
         margins = base_margins(self.cubes_m, self.pivots_m, self.headings_rad, self.dimensions, margin_m)
         lower, upper = self._state_bounds(config)
         return NlpData(

@@ -33,12 +33,12 @@ _MOST_INTERVALS = 1000
 
 @dataclass(frozen=True, slots=True)
 class Grid:
-    """The instants of one NLP: `units` of `per_unit` control intervals, walls at `points` of each."""
+    """The instants of one NLP: `units` of `per_unit` control intervals, walls at the end of each."""
 
     units: int
     per_unit: int
     step_s: float
-    points: int  # of a control interval at which walls are held: its end, or its middle and end
+    substeps: int = 2  # of the integrator in a control interval
 
     @classmethod
     def cut(cls, units: int, unit_s: float, config: TrajectoriesConfig) -> Grid:
@@ -74,8 +74,8 @@ class Grid:
 
     @property
     def wall_units(self) -> FloatArray:
-        """(P,) instants at which walls are held, in time units, without the fixed start."""
-        return np.asarray(np.arange(1, self.intervals * self.points + 1) / (self.per_unit * self.points))
+        """(S-1,) instants at which walls are held, in time units, without the fixed start."""
+        return np.asarray(np.arange(1, self.intervals + 1) / self.per_unit)
 
 
 def box_extents(centres_m: FloatArray, headings_rad: FloatArray, dimensions: Dimensions) -> FloatArray:
@@ -107,9 +107,9 @@ def base_margins(
 
 
 def walls_at(grid: Grid, cubes_m: FloatArray, margins_m: FloatArray, extra_m: FloatArray) -> FloatArray:
-    """Walls (P, 4) at the grid's wall instants: the tighter of both cubes at a unit boundary.
+    """Walls (S-1, 4) at the grid's wall instants: the tighter of both cubes at a unit boundary.
 
-    `margins_m` (K, 4) and `extra_m` (P, 4) are taken off the cubes.
+    `margins_m` (K, 4) and `extra_m` (S-1, 4) are taken off the cubes.
     """
     inset = SIDES * (cubes_m - SIDES * margins_m)  # (K, 4), smaller is tighter
     later = np.minimum(np.floor(grid.wall_units + 1e-9).astype(int), grid.units - 1)
@@ -169,13 +169,11 @@ def _furthest(states: FloatArray, rates: FloatArray, h: float, dimensions: Dimen
     return np.asarray(_arc_top(out[:, :-1], out[:, 1:], bend, h).max(axis=(1, 2)))
 
 
-def raised(grid: Grid, extra_m: FloatArray, excess_m: FloatArray) -> FloatArray:
-    """Extra margins (P, 4) where an interval's excess asks for them, at its wall instants."""
+def raised(extra_m: FloatArray, excess_m: FloatArray) -> FloatArray:
+    """Extra margins (S-1, 4) at both ends of the intervals whose excess asks for them."""
     need = np.where(excess_m > 0.0, 1.5 * excess_m + 1e-6, 0.0)
-    here = np.repeat(need, grid.points, axis=0)
-    before = np.vstack([need[1:], need[-1:] * 0.0])
-    here[grid.points - 1 :: grid.points] = np.maximum(need, before)  # an interval's end starts the next
-    return np.asarray(extra_m + here)
+    following = np.vstack([need[1:], np.zeros((1, 4))])
+    return np.asarray(extra_m + np.maximum(need, following))
 
 
 def _extents(corners_m: FloatArray) -> FloatArray:
