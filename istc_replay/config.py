@@ -233,12 +233,14 @@ class CorridorsConfig(Section):
     """How often a hard scene's frames, eq. (9) to (12), are written anew about its plan."""
     gap_tolerance: Positive = 1e-3
     """Certified means (objective - bound) / max(1, |objective|) at most this."""
-    tree_node_budget: Count = 800
-    """Nodes of the conflict tree."""
+    tree_node_budget: Count = 1000
+    """QPs of the conflict tree that finds corridors."""
+    tree_proof_node_budget: Count = 4000
+    """QPs of the conflict tree that bounds eq. (3), certified mode."""
     milp_node_budget: Count = 20_000
     """Nodes of all branch-and-bound runs of one proof."""
     proof_binaries_max: Count = 400
-    """A problem with more binaries is not proven: its bound is that without conflicts."""
+    """A problem with more binaries left after probing is bounded by the conflict tree alone."""
     rounds: Count = 12
     """Rounds of the outer approximation."""
     emergency_stop_s: Positive = 300.0

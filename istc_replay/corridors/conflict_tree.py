@@ -4,10 +4,10 @@
 merged and planned together, until no conflict crosses two groups. Then the union of the groups'
 optima is the optimum of all.
 
-*Tree.* A node enforces options; its QP bounds everything below it. The tree plunges: from the best
-open node it follows the best child down to a solution, so that one is found after about as many
-nodes as there are conflicts; the open nodes then prove it, or find a better one. A child whose
-violation alone makes it dearer than a sibling stays unsolved until its turn comes.
+*Tree.* A node enforces options; its QP bounds everything below it. First the tree plunges: it follows
+the best child down, so that a solution is found after about as many nodes as there are conflicts.
+Then it is searched best first, which proves the solution or ends at a better one. A child whose
+violation alone makes it dear stays unsolved until its turn comes.
 
 *Neighbourhoods.* Where that does not end soon, one vehicle, then pairs, give up their options and
 choose anew.
@@ -38,8 +38,9 @@ _BETTER = 1e-4
 _OVERLAP_COST = 1.0
 #: What a second way out is worth where there is none [m].
 _NO_WAY_OUT_M = 100.0
-#: Share of the budget for the whole tree before neighbourhoods are searched, and nodes of each.
-_TREE_SHARE = 0.25
+#: Shares of the budget for a first solution and for the search best first, before neighbourhoods are
+#: searched, and nodes of each.
+_FIRST_SHARE, _TREE_SHARE = 0.25, 0.6
 _NEIGHBOURHOOD_NODES = {1: 60, 2: 120}
 
 #: Numbers of vehicles.
@@ -75,7 +76,7 @@ class _Open(NamedTuple):
     choice: Choice | None
 
 
-def search(problem: CorridorProblem, node_budget: int) -> TreeOutcome:
+def search(problem: CorridorProblem, node_budget: int, proof_budget: int = 0) -> TreeOutcome:
     """Find pivotal points of small eq. (3) without conflict.
 
     Parameters
@@ -83,7 +84,9 @@ def search(problem: CorridorProblem, node_budget: int) -> TreeOutcome:
     problem : CorridorProblem
         The window's problem.
     node_budget : int
-        Largest number of QPs.
+        Largest number of QPs to find them.
+    proof_budget : int
+        Largest number of QPs beyond that to prove them optimal.
     """
     qp = PivotQp(problem)
     solved: dict[Group, _Tree] = {}
@@ -95,6 +98,7 @@ def search(problem: CorridorProblem, node_budget: int) -> TreeOutcome:
                 continue
             tree = _Tree(problem, qp, group, node_budget - nodes, _inherited(solved, group))
             tree.run()
+            tree.prove(proof_budget)
             nodes += tree.nodes
             if tree.best is None:
                 failed = (_names(problem, group),)
@@ -122,6 +126,16 @@ def refine(problem: CorridorProblem, choices: Choices, node_budget: int) -> Floa
     tree = _Tree(problem, qp, frozenset(range(len(problem.blocks))), node_budget, choices)
     tree.run_below_guess()
     return None if tree.best is None else problem.least_cubes(qp.z(tree.best))
+
+
+def prove(problem: CorridorProblem, choices: Choices, node_budget: int) -> TreeOutcome:
+    """Bound eq. (3) of a problem that has a solution by these options, best first; it may be improved on."""
+    qp = PivotQp(problem)
+    tree = _Tree(problem, qp, frozenset(range(len(problem.blocks))), node_budget, choices)
+    tree.plunge(choices, node_budget, first_only=True)
+    tree.prove(node_budget)
+    z = None if tree.best is None else problem.least_cubes(qp.z(tree.best))
+    return TreeOutcome(z, tree.nodes, tree.exhausted, tree.bound)
 
 
 def _names(problem: CorridorProblem, group: Group) -> tuple[str, ...]:
@@ -173,6 +187,8 @@ class _Tree:
     bound: float = 0.0
     open_conflict: int | None = None
     earliest_first: bool = False
+    _queue: list[_Open] | None = None
+    _order: count[int] = field(default_factory=lambda: count(1))
     _members: tuple[int, ...] = field(init=False)
     _own: IntArray = field(init=False)
     _table: Separations = field(init=False)
@@ -186,23 +202,63 @@ class _Tree:
         self._table = table.taken(self._own)
 
     def run(self) -> None:
-        """Search within the budget: below the guess, the whole tree, then neighbourhoods."""
-        share = round(_TREE_SHARE * self.budget)
+        """Search within the budget: a first solution, the tree best first, then neighbourhoods."""
+        share = round(_FIRST_SHARE * self.budget)
         if self.guess:
             self.plunge(self.guess, share, first_only=True)
-        self.exhausted = self.plunge((), share)
+        if self.best is None:
+            self.exhausted = self.plunge((), share, first_only=True)
         if self.best is None and not self.exhausted:
             # The largest conflict first leads to better solutions, the earliest to one at all.
             self.earliest_first = True
             self.exhausted = self.plunge((), self.budget, first_only=True)
-        if not self.exhausted and self.best is not None:
-            self._improve()
+            self.earliest_first = False
+        if self.best is not None:
+            self.prove(min(round(_TREE_SHARE * self.budget), self.budget - self.nodes))
+            if not self.exhausted:
+                self._improve()
 
     def run_below_guess(self) -> None:
         """Search below the guess alone, then its neighbourhoods."""
-        self.plunge(self.guess, round(_TREE_SHARE * self.budget), first_only=True)
+        self.plunge(self.guess, round(_FIRST_SHARE * self.budget), first_only=True)
         if self.best is not None:
             self._improve()
+
+    def prove(self, limit: int) -> None:
+        """Search the tree best first for `limit` more nodes; called again it goes on."""
+        end = self.nodes + limit
+        queue = self._begun(())
+        while queue and queue[0].bound < self.cutoff and self.nodes < end:
+            node = heapq.heappop(queue)
+            if node.choice is not None:
+                child = self._solve(node.solution, node.choice)
+                if child is not None:
+                    self._push(queue, child.cost, child, None)
+                continue
+            slack = self._slack(node.solution)
+            conflict = self._worst_conflict(slack)
+            if conflict is None:
+                self.best = node.solution
+                continue
+            for bound, choice in self._priced(node.solution, conflict, slack[conflict]):
+                if bound < self.cutoff:
+                    self._push(queue, bound, node.solution, choice)
+        self.exhausted = not queue or queue[0].bound >= self.cutoff
+        self.bound = self.cutoff if self.exhausted else queue[0].bound
+
+    def _begun(self, root: Choices) -> list[_Open]:
+        """The open nodes below `root`: itself, or none where it has no solution; of the tree as it stands."""
+        if not root and self._queue is not None:
+            return self._queue
+        self.nodes += 1
+        start = self.qp.root(self._members, root, self.cutoff)
+        queue = [] if start is None else [_Open(start.cost, 0, start, None)]
+        if not root:
+            self._queue = queue
+        return queue
+
+    def _push(self, queue: list[_Open], bound: float, solution: PivotSolution, choice: Choice | None) -> None:
+        heapq.heappush(queue, _Open(bound, next(self._order), solution, choice))
 
     @property
     def cutoff(self) -> float:
@@ -215,19 +271,13 @@ class _Tree:
         Returns whether nothing below `root` is left to search.
         """
         end = min(self.budget, self.nodes + limit)
-        self.nodes += 1
-        start = self.qp.root(self._members, root, self.cutoff)
-        queue = [] if start is None else [_Open(start.cost, 0, start, None)]
-        order = count(1)
+        queue = self._begun(root)
         while queue and queue[0].bound < self.cutoff:
             if self.nodes >= end or (first_only and self.best is not None):
-                break
-            for bound, solution, choice in self._expanded(heapq.heappop(queue)):
-                heapq.heappush(queue, _Open(bound, next(order), solution, choice))
-        done = not queue or queue[0].bound >= self.cutoff
-        if not root:
-            self.bound = max(self.bound, self.cutoff if done else queue[0].bound)
-        return done
+                return False
+            for passed in self._expanded(heapq.heappop(queue)):
+                self._push(queue, *passed)
+        return True
 
     def _expanded(self, node: _Open) -> Iterator[_Passed]:
         """Enforce the option that is due, or follow the best child down; gives what stays open."""
@@ -247,7 +297,7 @@ class _Tree:
                 self.best = node
                 return
             self.open_conflict = int(self._own[conflict])
-            child, passed = self._children(node, self.open_conflict, slack[conflict])
+            child, passed = self._children(node, conflict, slack[conflict])
             yield from passed
             if child is None:
                 return
@@ -263,16 +313,11 @@ class _Tree:
         best: PivotSolution | None = None
         least = np.inf
         passed: list[_Passed] = []
-        options = [
-            (node.cost + self.qp.price(conflict, o) * float(slack[o]) ** 2, o)
-            for o in range(4)
-            if np.isfinite(slack[o])
-        ]
-        for bound, option in sorted(options):
+        for bound, choice in self._priced(node, conflict, slack):
             if bound >= min(least, self.cutoff):
-                passed.append((bound, node, (conflict, option)))
+                passed.append((bound, node, choice))
                 continue
-            child = self._solve(node, (conflict, option))
+            child = self._solve(node, choice)
             if child is None:
                 continue
             overlap = np.maximum(-self._slack(child).max(axis=1), 0.0).sum()
@@ -284,6 +329,15 @@ class _Tree:
             else:
                 passed.append((child.cost, child, None))
         return best, passed
+
+    def _priced(self, node: PivotSolution, conflict: int, slack: FloatArray) -> list[tuple[float, Choice]]:
+        """The options of a group's conflict with lower bounds of their cost, cheapest first."""
+        separation = int(self._own[conflict])
+        return sorted(
+            (node.cost + self.qp.price(separation, o) * float(slack[o]) ** 2, (separation, o))
+            for o in range(4)
+            if np.isfinite(slack[o])
+        )
 
     def _solve(self, node: PivotSolution, choice: Choice) -> PivotSolution | None:
         """Solve with one more option; None where that is infeasible or not worth anything."""

@@ -262,7 +262,11 @@ class CorridorProblem:
 
     def objective(self, z: FloatArray) -> float:
         """Value of eq. (4)."""
-        return float(self.quadratic @ (z - self.reference) ** 2 + self.linear @ z)
+        return self.reference_cost(z) + float(self.linear @ z)
+
+    def reference_cost(self, z: FloatArray) -> float:
+        """Value of eq. (3), weighted, alone."""
+        return float(self.quadratic @ (z - self.reference) ** 2)
 
     def least_cubes(self, z: FloatArray) -> FloatArray:
         """Put every cube's walls at the least cube around its pivotal points; returns a new z."""

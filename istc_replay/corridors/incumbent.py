@@ -1,0 +1,205 @@
+"""The stages that find corridors: conflict tree, cube sizes, joint polish, frames about the plan."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from istc_replay.corridors import cbc, conflict_tree
+from istc_replay.corridors.miqp import build_size_milp
+from istc_replay.corridors.polish import polish
+from istc_replay.corridors.relinearise import frames_about, with_references
+from istc_replay.datatypes import FloatArray, SolveRecord, SolveStatus
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+
+    from istc_replay.config import CorridorsConfig
+    from istc_replay.corridors.conflict_tree import TreeOutcome
+    from istc_replay.corridors.problem import CorridorProblem
+    from istc_replay.datatypes import Guidance
+
+#: Frames are written anew while that makes the objective better by this share.
+_WORTH = 0.02
+#: Who ends nearer to its guidance than this has not given way for good [m].
+_BEHIND_M = 1.0
+_MUCH = 0.1
+
+
+@dataclass(slots=True)
+class Search:
+    """The incumbent and the bound while the stages run.
+
+    `reference_bound` is a lower bound of eq. (3) alone, for `problem` as it is.
+    """
+
+    problem: CorridorProblem
+    z: FloatArray | None = None
+    objective: float = np.inf
+    bound: float = -np.inf
+    reference_bound: float = 0.0
+    found_by: str = ""
+    exhausted: bool = False  # the conflict tree saw everything there is
+    records: list[SolveRecord] = field(default_factory=list)
+    culprits: tuple[tuple[str, ...], ...] = ()
+
+    def offer(self, z: FloatArray | None, stage: str) -> bool:
+        """Take z as the incumbent if it is better."""
+        if z is None:
+            return False
+        objective = self.problem.objective(z)
+        if objective >= self.objective:
+            return False
+        self.z, self.objective, self.found_by = z, objective, stage
+        return True
+
+    @property
+    def gap(self) -> float | None:
+        """(objective - bound) / max(1, |objective|)."""
+        if self.z is None or not np.isfinite(self.bound):
+            return None
+        return max(0.0, self.objective - self.bound) / max(1.0, abs(self.objective))
+
+    def record(self, stage: str, solver: str, status: SolveStatus, began: float, **figures: object) -> None:
+        """Note one solver call of layer 1: what it found, and the bound and gap as they stand."""
+        standing = {"bound": self.bound if np.isfinite(self.bound) else None, "gap": self.gap}
+        self.records.append(
+            replace(
+                SolveRecord("corridors", stage, solver, status, wall_s=time.perf_counter() - began),
+                **(standing | figures),  # type: ignore[arg-type]
+            )
+        )
+
+
+def grow_tree(search: Search, config: CorridorsConfig) -> TreeOutcome:
+    """Stage A: pivotal points without conflict."""
+    began = time.perf_counter()
+    problem = search.problem
+    tree = conflict_tree.search(problem, config.tree_node_budget)
+    search.exhausted, search.reference_bound = tree.exhausted, tree.bound
+    search.offer(tree.z, "conflict tree")
+    status = SolveStatus.FEASIBLE
+    if tree.z is None:
+        status = SolveStatus.INFEASIBLE if tree.exhausted else SolveStatus.LIMIT
+        conflict = tree.open_conflict
+        search.culprits = tree.groups if conflict is None else (problem.pair(conflict),)
+    objective = None if tree.z is None else problem.objective(tree.z)
+    search.record("conflict tree", "daqp", status, began, nodes=tree.nodes, objective=objective)
+    return tree
+
+
+def fill(search: Search, z: FloatArray, config: CorridorsConfig, *, sized: bool) -> None:
+    """Stages B (where `sized`) and C: the largest cubes about z, then both moved together."""
+    problem = search.problem
+    grown = _size_cubes(search, z, config) if sized and len(problem.separations) else z
+    began = time.perf_counter()
+    polished = polish(problem, problem.separations.best(grown))
+    search.offer(polished, "joint polish")
+    search.record(
+        "joint polish",
+        "piqp",
+        SolveStatus.FEASIBLE if polished is not None else SolveStatus.ERROR,
+        began,
+        objective=None if polished is None else problem.objective(polished),
+    )
+
+
+def _size_cubes(search: Search, z: FloatArray, config: CorridorsConfig) -> FloatArray:
+    """Stage B: the largest cubes around fixed pivotal points, a small MILP."""
+    began = time.perf_counter()
+    problem = search.problem
+    sizes = build_size_milp(problem, z)
+    if sizes.model is None:
+        search.offer(sizes.grown, "cube sizes")
+        objective = problem.objective(sizes.grown)
+        search.record("cube sizes", "bounds", SolveStatus.OPTIMAL, began, objective=objective)
+        return sizes.grown
+    run = cbc.solve(
+        sizes.model,
+        gap=0.0,
+        node_budget=config.milp_node_budget,
+        emergency_stop_s=config.emergency_stop_s,
+    )
+    sized = sizes.solution() if run.status in (SolveStatus.OPTIMAL, SolveStatus.FEASIBLE) else z
+    search.offer(sized, "cube sizes")
+    search.record(
+        "cube sizes",
+        "cbc",
+        run.status,
+        began,
+        objective=problem.objective(sized),
+        nodes=run.nodes,
+        iterations=run.iterations,
+        binaries=len(sizes.model.delta),
+        detail=run.detail,
+    )
+    return sized
+
+
+def gives_way(search: Search) -> bool:
+    """Whether someone is not back at its guidance in the end: its frames are then those of elsewhere."""
+    if search.z is None:
+        return False
+    for block in search.problem.blocks:
+        away = search.z[block.pivot[-1]] - block.reference_m[-1]
+        if float(np.hypot(*away)) > _BEHIND_M:
+            return True
+    return False
+
+
+def follow(
+    search: Search,
+    guidance: Sequence[Guidance],
+    rewritten: Callable[[Sequence[Guidance]], CorridorProblem],
+    config: CorridorsConfig,
+) -> None:
+    """Write the frames anew about the incumbent and solve again, while that makes it better."""
+    for round_ in range(1, config.frame_rounds + 1):
+        if search.z is None:
+            return
+        began = time.perf_counter()
+        frames = frames_about(search.problem, search.z, guidance)
+        problem = with_references(rewritten(frames), guidance)
+        if len(problem.impossible) or cramped(problem):
+            return
+        choice = problem.separations.best(search.z)
+        polished = polish(problem, choice)
+        found = [polished]
+        # Other choices are worth a search only where the frames made a difference.
+        if polished is None or problem.objective(polished) < search.objective - _MUCH * abs(search.objective):
+            refined = conflict_tree.refine(
+                problem, tuple(enumerate(choice.tolist())), config.tree_node_budget // 8
+            )
+            if refined is not None:
+                found.append(polish(problem, problem.separations.best(refined)))
+        best = min((z for z in found if z is not None), key=problem.objective, default=None)
+        better = best is not None and problem.objective(best) < search.objective - _WORTH * abs(
+            search.objective
+        )
+        if better:
+            search.problem, search.reference_bound, search.exhausted = problem, 0.0, False
+            search.offer(best, f"frames about the plan, round {round_}")
+        search.record(
+            f"frames about the plan {round_}",
+            "daqp, piqp",
+            SolveStatus.FEASIBLE if best is not None else SolveStatus.INFEASIBLE,
+            began,
+            objective=None if best is None else problem.objective(best),
+        )
+        if not better:
+            return
+
+
+def cramped(problem: CorridorProblem) -> list[tuple[str, int]]:
+    """Vehicles whose bounds contradict each other, and the first unit in which they do."""
+    found = []
+    for block in problem.blocks:
+        for k in range(block.units):
+            walls = np.concatenate([block.cube[k], block.pivot[k + 1]])
+            if np.any(problem.lower[walls] > problem.upper[walls] + 1e-9):
+                found.append((block.vehicle_id, block.first_unit + k))
+                break
+    return found

@@ -1,0 +1,171 @@
+"""The stages that bound eq. (4) from below: relaxations, the conflict tree, probing, outer approximation."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from istc_replay.corridors import cbc, conflict_tree
+from istc_replay.corridors.incumbent import Search, fill
+from istc_replay.corridors.miqp import MilpModel, build_milp
+from istc_replay.corridors.pivot_qp import PivotQp
+from istc_replay.corridors.polish import polish
+from istc_replay.datatypes import FloatArray, SolveStatus
+
+if TYPE_CHECKING:
+    from istc_replay.config import CorridorsConfig
+    from istc_replay.corridors.problem import CorridorProblem
+
+#: Where the first tangents touch, from the incumbent [m]. Wide seeds close the gap in one round
+#: where close ones alone need three or more (docs/performance.md).
+_SEEDS_M = (-4.0, -2.0, -1.0, -0.3, 0.3, 1.0, 2.0, 4.0)
+#: CBC may leave this share of the wanted gap open in each round.
+_GAP_SHARE = 0.25
+#: A QP's optimum is taken as a bound less this share.
+_QP_ROUNDING = 1e-6
+#: About what the cubes' sizes gain by moving pivotal points where only a share s of eq. (3) counts,
+#: times s. It decides how good a bound is, not whether it is one.
+_DRIFT_COST = 0.2
+_LEAST_SHARE = 1e-3
+
+
+def bound_by_parts(search: Search) -> None:
+    """Bound eq. (4) by the QP without separations, and by parts where eq. (3) alone has a bound.
+
+    For every share s in [0, 1], eq. (4) is (1 - s) of eq. (3), bounded by the conflict tree, plus the
+    rest, bounded by a QP without separations.
+    """
+    began = time.perf_counter()
+    problem, reference_bound = search.problem, search.reference_bound
+    shares = [1.0]
+    if reference_bound > _DRIFT_COST:
+        shares.append(max(float(np.sqrt(_DRIFT_COST / reference_bound)), _LEAST_SHARE))
+    for share in shares:
+        z = polish(problem, None, share=share)
+        if z is None:
+            continue
+        if share == 1.0 and not len(problem.separations):
+            search.offer(z, "joint polish")
+        rest = problem.objective(z) - (1.0 - share) * problem.reference_cost(z)
+        rest -= _QP_ROUNDING * max(1.0, abs(rest))
+        search.bound = max(search.bound, (1.0 - share) * reference_bound + rest)
+    known = np.isfinite(search.bound)
+    search.record("relaxation", "piqp", SolveStatus.FEASIBLE if known else SolveStatus.ERROR, began)
+
+
+def prove_points(search: Search, config: CorridorsConfig) -> None:
+    """Bound eq. (3) by the conflict tree, best first, about the incumbent's own choice of options."""
+    if search.z is None or search.exhausted:
+        return
+    began = time.perf_counter()
+    problem = search.problem
+    choice = tuple(enumerate(problem.separations.best(search.z).tolist()))
+    tree = conflict_tree.prove(problem, choice, config.tree_proof_node_budget)
+    search.exhausted = tree.exhausted
+    search.reference_bound = max(search.reference_bound, tree.bound)
+    status = SolveStatus.OPTIMAL if tree.exhausted else SolveStatus.FEASIBLE
+    search.record(
+        "conflict tree, best first",
+        "daqp",
+        status,
+        began,
+        nodes=tree.nodes,
+        detail=f"eq. (3) is at least {search.reference_bound:.6g}",
+    )
+    if tree.z is not None and problem.reference_cost(tree.z) < problem.reference_cost(search.z) * (1 - 1e-4):
+        fill(search, tree.z, config, sized=True)
+
+
+def probe(search: Search) -> CorridorProblem:
+    """Leave out options that make two vehicles alone dearer than the incumbent is altogether."""
+    began = time.perf_counter()
+    problem = search.problem
+    # The sizes of the cubes gain at most this; what is left bounds eq. (3) of anything better.
+    share = 0.05
+    z = polish(problem, None, share=share)
+    qp = PivotQp(problem)
+    root = qp.root(tuple(range(len(problem.blocks))), ())
+    if z is None or root is None or search.z is None:
+        return problem
+    rest = problem.objective(z) - (1.0 - share) * problem.reference_cost(z)
+    rest -= _QP_ROUNDING * max(1.0, abs(rest))
+    most = (search.objective + _QP_ROUNDING * max(1.0, abs(search.objective)) - rest) / (1.0 - share)
+    table = problem.separations
+    gap = np.array(table.gap)
+    tried = np.argwhere(table.possible).tolist()
+    for d, o in tried:
+        found = qp.with_option(root, (d, o), most)
+        if found is None or found.cost > most:
+            gap[d, o] = np.inf
+    probed = replace(problem, separations=replace(table, gap=gap))
+    search.record(
+        "probing",
+        "daqp",
+        SolveStatus.FEASIBLE,
+        began,
+        nodes=len(tried),
+        binaries=probed.binaries,
+        detail=f"{problem.binaries - probed.binaries} of {problem.binaries} binaries decided",
+    )
+    return probed
+
+
+def approximate(
+    search: Search, problem: CorridorProblem, config: CorridorsConfig, big_m: float | None
+) -> None:
+    """The full MIQP by outer approximation, until the gap is closed or the budget spent.
+
+    `problem` is the search's, perhaps with fewer options.
+    """
+    milp = build_milp(problem, big_m=big_m)
+    _seed_tangents(milp, search.z)
+    nodes_left = config.milp_node_budget
+    for round_ in range(1, config.rounds + 1):
+        began = time.perf_counter()
+        if search.z is not None:
+            milp.set_start(search.z)
+        run = cbc.solve(
+            milp.model,
+            gap=config.gap_tolerance * _GAP_SHARE,
+            node_budget=nodes_left,
+            emergency_stop_s=config.emergency_stop_s,
+            warm_start=search.z is not None,
+        )
+        nodes_left -= run.nodes
+        if run.bound is not None:
+            search.bound = max(search.bound, run.bound)
+        new, found = 0, run.status in (SolveStatus.OPTIMAL, SolveStatus.FEASIBLE)
+        if found:
+            relaxed = milp.solution()
+            better = polish(problem, problem.separations.best(relaxed))
+            search.offer(better, f"outer approximation, round {round_}")
+            new = milp.add_tangents(relaxed) + (0 if better is None else milp.add_tangents(better))
+        search.record(
+            f"outer approximation {round_}",
+            "cbc",
+            run.status,
+            began,
+            objective=search.objective if search.z is not None else None,
+            nodes=run.nodes,
+            iterations=run.iterations,
+            binaries=milp.binaries,
+            detail=run.detail,
+        )
+        gap = search.gap
+        closed = gap is not None and gap <= config.gap_tolerance
+        if closed or not found or nodes_left <= 0 or new == 0:
+            return
+
+
+def _seed_tangents(milp: MilpModel, z: FloatArray | None) -> None:
+    """Tangents at the incumbent (or the reference), around it, and at the optimum without conflicts."""
+    centre = milp.problem.reference if z is None else z
+    milp.add_tangents(centre)
+    for offset in _SEEDS_M:
+        milp.add_tangents(centre + offset)
+    relaxed = polish(milp.problem, None)
+    if relaxed is not None:
+        milp.add_tangents(relaxed)
