@@ -41,7 +41,7 @@ def test_page_view_and_facts_of_two_results_are_written(
     done = call("compare", *results, "-o", tmp_path / "out")
     assert (done.returncode, done.stderr) == (0, "")
     lines = done.stdout.splitlines()
-    assert lines[0].endswith("in one of the two alone.")
+    assert "6 vehicles are in one of the two alone" in lines[0]
     assert any(line.startswith("only in A: vehicle car 1, car 2") for line in lines)
     files = [Path(line) for line in lines[-3:]]
     assert [file.name for file in files] == ["compare.html", "compare.json", "compare.rrd"]
