@@ -207,3 +207,20 @@ def status(folder: Path, as_json: bool) -> int:
     else:
         print_lines(tell.line(text) for text in status_lines(facts))
     return 0
+
+
+@fleet.command()
+@click.argument("folder", type=FILE)
+def report(folder: Path) -> int:
+    """Write FOLDER/report: a page over all logs, and one Parquet data set of all their tables.
+
+    \b
+    Example:  istc-replay fleet report results
+    """
+    from istc_replay.cli.common import Progress as Step
+    from istc_replay.fleet.report import write_report
+
+    with Step("report") as step:
+        page = write_report(folder, lambda what: step(what, 0, 1))
+    click.echo(tell.line(page))
+    return 0

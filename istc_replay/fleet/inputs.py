@@ -161,7 +161,7 @@ def file_name(location: str) -> str:
 
 
 def _stem(location: str) -> str:
-    stem = folder_name(Path(file_name(location)))
+    stem = "".join(c if c.isprintable() else "_" for c in folder_name(Path(file_name(location))))
     if len(os.fsencode(stem)) <= _STEM_BYTES:
         return stem
     digest = hashlib.sha256(os.fsencode(stem)).hexdigest()[:12]

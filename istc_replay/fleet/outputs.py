@@ -92,25 +92,30 @@ def publish(folder: Path, fleet: Path, name: str) -> None:
         If it cannot be moved.
     """
     place = logs_folder(fleet) / name
-    old: list[Path] = []
     try:
-        for _ in range(_TRIES):
-            try:
-                folder.rename(place)
-                break
-            except OSError as error:
-                if error.errno not in _IN_THE_WAY:
-                    raise
-            old.append(Path(tempfile.mkdtemp(prefix=f"{_REPLACED}{name}-", dir=place.parent)))
-            with suppress(FileNotFoundError):
-                place.rename(old[-1] / name)
-        else:
-            raise OSError(errno.EBUSY, "something else keeps writing it")
-        _flush_folder(place.parent)
+        replace_folder(folder, place)
     except OSError as error:
         raise refused(place, error) from None
-    for folder_gone in old:
-        shutil.rmtree(folder_gone, ignore_errors=True)
+
+
+def replace_folder(folder: Path, place: Path) -> None:
+    """Move a folder to a place; one that stands there goes, and comes back with `recover` after a kill."""
+    old: list[Path] = []
+    for _ in range(_TRIES):
+        try:
+            folder.rename(place)
+            break
+        except OSError as error:
+            if error.errno not in _IN_THE_WAY:
+                raise
+        old.append(Path(tempfile.mkdtemp(prefix=f"{_REPLACED}{place.name}-", dir=place.parent)))
+        with suppress(FileNotFoundError):
+            place.rename(old[-1] / place.name)
+    else:
+        raise OSError(errno.EBUSY, "something else keeps writing it")
+    _flush_folder(place.parent)
+    for replaced in old:
+        shutil.rmtree(replaced, ignore_errors=True)
 
 
 def read_receipt(folder: Path) -> dict[str, Any] | None:

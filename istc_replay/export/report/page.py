@@ -1,11 +1,14 @@
-"""The page around the report: one file that loads nothing and runs nothing."""
+"""The page around the report: one file that loads nothing, and runs at most its own script."""
 
 from __future__ import annotations
+
+import base64
+import hashlib
 
 from istc_replay.export.figures.style import GRID, INK, MUTED, PAPER
 from istc_replay.export.report.markup import Content, Html, element
 
-#: Nothing may be loaded from anywhere, no script may run; styles stand in the page itself.
+#: Nothing may be loaded from anywhere, no other script may run; styles stand in the page itself.
 _POLICY = "default-src 'none'; style-src 'unsafe-inline'; base-uri 'none'; form-action 'none'"
 
 #: The pictures' own colours, as variables of the page's theme.
@@ -73,15 +76,31 @@ tr{{break-inside:avoid}}h2,h3{{break-after:avoid}}}}
 """
 
 
-def page(title: str, body: Content) -> str:
-    """Return the whole document."""
+def page(title: str, body: Content, script: str = "", style: str = "") -> str:
+    """Return the whole document.
+
+    Parameters
+    ----------
+    title : str
+        Its title.
+    body : Html and other contents
+        What it shows.
+    script, style : str
+        A script that may run, and styles beside those of all pages; constants of the caller.
+    """
+    policy = _POLICY
+    if script:
+        digest = base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()
+        policy += f"; script-src 'sha256-{digest}'"
     head = element(
         "head",
         element("meta", charset="utf-8"),
-        element("meta", http_equiv="Content-Security-Policy", content=_POLICY),
+        element("meta", http_equiv="Content-Security-Policy", content=policy),
         element("meta", name="viewport", content="width=device-width, initial-scale=1"),
         element("meta", name="referrer", content="no-referrer"),
         element("title", title),
-        element("style", Html(_STYLE)),
+        element("style", Html(_STYLE + style)),
     )
-    return f"<!DOCTYPE html>\n{element('html', head, element('body', element('main', body)), lang='en')}\n"
+    code = element("script", Html(script)) if script else None
+    whole = element("html", head, element("body", element("main", body), code), lang="en")
+    return f"<!DOCTYPE html>\n{whole}\n"
