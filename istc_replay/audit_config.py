@@ -148,6 +148,8 @@ class AuditConfig(Section):
     """Boxes that would touch by less than this, as seen along their relative velocity, only graze."""
     acceleration_bound_mps2: Positive = 10.0
     """Between samples a vehicle accelerates by no more: a h^2 / 8 bounds its position."""
+    turning_radps: Positive = 0.1
+    """A vehicle that yaws by more turns (ours): straight-line contacts that its arc avoids are minor."""
     release_ratio: Annotated[float, Field(ge=1, allow_inf_nan=False)] = 1.3333333333333333
     """An event ends past its minor threshold by this factor (TTC 1.5 s: 2 s)."""
     bridge_s: NonNegative = 0.3

@@ -201,6 +201,7 @@ PAIR_SAMPLES_SCHEMA = pl.Schema(
         "gap_bound_m": pl.Float64(),  # how far off the gap may be between samples
         "relative_speed_mps": pl.Float64(),
         "ttc_s": pl.Float64(),
+        "ttc_turning_s": pl.Float64(),  # yaw rates held; told of serious samples of turning vehicles
         "silhouette_m": pl.Float64(),  # overlap seen along the relative velocity
         "drac_mps2": pl.Float64(),
         "required_first_mps2": pl.Float64(),

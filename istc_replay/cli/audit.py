@@ -33,12 +33,20 @@ _SEVERITIES: tuple[Literal["minor", "serious", "critical"], ...] = ("minor", "se
     show_default=True,
     help=f"{', '.join(_AUDIT_FORMATS)}.",
 )
+@click.option(
+    "--clips",
+    type=click.IntRange(0),
+    default=20,
+    show_default=True,
+    help="Clips of the log around serious findings, worst first, at most.",
+)
 @click.option("-c", "--config", "config_path", type=FILE, help="Configuration (TOML); of a result, its own.")
 def audit(
     source: Path,
     output: Path | None,
     fail_on: Literal["minor", "serious", "critical"],
     formats: str,
+    clips: int,
     config_path: Path | None,
 ) -> int:
     """Audit what SOURCE, a log or a result, recorded; of a result, its plans as well.
@@ -51,7 +59,7 @@ def audit(
 
     chosen = chosen_formats(formats, _AUDIT_FORMATS)
     config = None if config_path is None else load_config(config_path)
-    text, code, files = audit_read(source, config, output, chosen, fail_on)
+    text, code, files = audit_read(source, config, output, chosen, fail_on, clips)
     print_lines(tell.line(text_line) for text_line in text.splitlines())
     print_lines(tell.line(file) for file in files)
     return code

@@ -36,6 +36,7 @@ def find_events(
     release: float,
     bridge_ns: FloatArray,
     least_samples: IntArray,
+    reach: IntArray | None = None,
 ) -> list[Event]:
     """Find the events of a measure.
 
@@ -59,6 +60,8 @@ def find_events(
         (n,) longest pause after each sample.
     least_samples : ndarray
         (L,) samples in a row that a level takes.
+    reach : ndarray, optional
+        (n,) the last level that a sample may count for; all by default.
     """
     held = np.flatnonzero(badness >= release)
     if held.size == 0:
@@ -69,26 +72,29 @@ def find_events(
     ends = np.append(starts[1:], held.size)
     events = []
     bad = badness[held]
+    may = np.full(held.size, levels.size) if reach is None else reach[held]
     opened = np.maximum.reduceat(bad, starts) >= levels[0]
     for start, end in zip(starts[opened].tolist(), ends[opened].tolist(), strict=True):
         run = bad[start:end]
-        level = _level(run, levels, least_samples)
+        level = _level(run, may[start:end], levels, least_samples)
         if level < 0:
             continue
         first = start + int(np.argmax(run >= levels[0]))
         # Of samples that are as bad but for rounding the first, however the world is turned.
-        most = float(run.max())
+        counting = np.where(may[start:end] >= level, run, -np.inf)
+        most = float(counting.max())
         worst = start + int(
-            np.argmax(run >= most - _ROUNDING * abs(most) if np.isfinite(most) else run == most)
+            np.argmax(counting >= most - _ROUNDING * abs(most) if np.isfinite(most) else counting == most)
         )
         events.append(Event(int(held[first]), int(held[worst]), int(held[end - 1]), level))
     return events
 
 
-def _level(run: FloatArray, levels: FloatArray, least_samples: IntArray) -> int:
+def _level(run: FloatArray, may: IntArray, levels: FloatArray, least_samples: IntArray) -> int:
     """The last level that enough samples in a row are past, -1 where none is."""
     for level in range(levels.size - 1, -1, -1):
-        past = np.concatenate([[0], (run >= levels[level]).astype(np.int8), [0]])
+        counts = (run >= levels[level]) & (may >= level)
+        past = np.concatenate([[0], counts.astype(np.int8), [0]])
         edges = np.flatnonzero(np.diff(past))
         if edges.size and int((edges[1::2] - edges[::2]).max()) >= least_samples[level]:
             return level

@@ -21,6 +21,8 @@ from istc_replay.units import NS_PER_S
 
 IntArray = NDArray[np.int64]
 
+#: Rules that predict straight lines.
+_STRAIGHT = ("ttc", "drac", "required_deceleration")
 #: A bridge spans a sample at least, whatever the rate.
 _BRIDGED_PERIODS = 1.5
 #: Who followed this long before paths part was following.
@@ -72,12 +74,13 @@ def pair_findings(
             release=rule.release(audit),
             bridge_ns=bridge,
             least_samples=np.array(least),
+            reach=_reach(pairs, rule, len(thresholds)),
         )
         for event in events:
             who = (int(pairs.first[event.start]), int(pairs.second[event.start]))
             times = tuple(int(pairs.time_ns[row]) for row in (event.start, event.worst, event.end))
             place = (float(pairs["x_m"][event.worst]), float(pairs["y_m"][event.worst]))
-            detail = _pair_detail(rule, pairs, event, bodies)
+            detail = "; ".join(_pair_notes(rule, pairs, event, bodies))
             found.append(
                 make_finding(
                     rule,
@@ -93,6 +96,13 @@ def pair_findings(
                 )
             )
     return found
+
+
+def _reach(pairs: Pairs, rule: Rule, levels: int) -> IntArray:
+    """(n,) the last level that each sample counts for: minor where arcs avoid what lines would hit."""
+    straight = rule.name in _STRAIGHT and "ttc_turning_s" in pairs.values
+    avoided = np.isinf(pairs["ttc_turning_s"]) if straight else np.zeros(pairs.time_ns.size, dtype=bool)
+    return np.where(avoided, 0, levels - 1)
 
 
 def judged_values(pairs: Pairs, rule: str, audit: AuditConfig) -> FloatArray:
@@ -120,21 +130,25 @@ def judged_values(pairs: Pairs, rule: str, audit: AuditConfig) -> FloatArray:
     return np.where(real, pairs[{"ttc": "ttc_s", "drac": "drac_mps2"}[rule]], np.nan)
 
 
-def _pair_detail(rule: Rule, pairs: Pairs, event: Event, bodies: list[Body]) -> str:
+def _pair_notes(rule: Rule, pairs: Pairs, event: Event, bodies: list[Body]) -> list[str]:
+    worst = event.worst
     if rule.name == "gap":
-        gap, bound = pairs["gap_m"][event.worst], pairs["gap_bound_m"][event.worst]
+        gap, bound = pairs["gap_m"][worst], pairs["gap_bound_m"][worst]
         if gap < -bound:
-            return f"collision: the boxes overlap by more than the sampling bound of {bound:.3g} m"
-        return "possible collision: within the sampling bound" if gap <= bound else ""
-    if rule.name == "drac":
-        return "of the relative motion"
+            return [f"collision: the boxes overlap by more than the sampling bound of {bound:.3g} m"]
+        return ["possible collision: within the sampling bound"] if gap <= bound else []
     if rule.name == "thw":
-        return f"{bodies[int(pairs['follower'][event.worst])].name} follows"
+        return [f"{bodies[int(pairs['follower'][worst])].name} follows"]
+    notes = []
+    if rule.name == "drac":
+        notes.append("of the relative motion")
     if rule.name == "required_deceleration":
-        first, second = pairs["required_first_mps2"][event.worst], pairs["required_second_mps2"][event.worst]
+        first, second = pairs["required_first_mps2"][worst], pairs["required_second_mps2"][worst]
         who = pairs.first if first <= second else pairs.second
-        return f"of {bodies[int(who[event.worst])].name} alone"
-    return ""
+        notes.append(f"of {bodies[int(who[worst])].name} alone")
+    if rule.name in _STRAIGHT and event.level == 0 and np.isinf(pairs["ttc_turning_s"][worst]):
+        notes.append("minor, as with the yaw rates held there is no contact")
+    return notes
 
 
 def encroachment_findings(

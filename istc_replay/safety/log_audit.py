@@ -34,6 +34,7 @@ from istc_replay.safety.quality import (
     overlap_issues,
 )
 from istc_replay.safety.rules import CORRIDOR_RULE, PAIR_RULES, PET_RULE, SEVERITIES, VEHICLE_RULES
+from istc_replay.safety.turning import with_turning
 from istc_replay.safety.vehicle_samples import Motion, smoothed_motion, vehicles_table
 from istc_replay.states import (
     AGAINST_PLAN_SCHEMA,
@@ -53,7 +54,7 @@ _OF_MOVING = ("curvature", "steering_rate", "side_slip")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Audit:
-    """The audit of what `log` recorded, as tables (see `states.py`).
+    """The audit of what `log` recorded by the thresholds of `config`, as tables (see `states.py`).
 
     `findings` and `encounters` are sorted by start, `pair_samples` and `vehicle_samples` by whom
     and time; `coverage` says of each vehicle and rule how much was judged. Of a result there are
@@ -62,6 +63,7 @@ class Audit:
     """
 
     log: Log
+    config: Config
     findings: pl.DataFrame
     encounters: pl.DataFrame
     pair_samples: pl.DataFrame
@@ -121,6 +123,7 @@ def audit_log(
     period_ns = float(np.median(np.diff(times))) if times.size > 1 else 0.0
     motions = [smoothed_motion(body, audit) for body in bodies]
     pairs, left = sample_pairs(bodies, times, audit)
+    pairs = with_turning(pairs, bodies, motions, audit)
     issues = clock_issues(check_clocks(log.states, audit) if clocks is None else clocks, bodies)
     issues += body_issues(bodies, motions, audit)
     issues += overlap_issues(pairs, bodies, times)
@@ -140,6 +143,7 @@ def audit_log(
     ]
     return Audit(
         log=log,
+        config=config,
         findings=_findings_table(findings, names, bodies),
         encounters=_table(encounters, ENCOUNTERS_SCHEMA, ("start_ns", "first", "second")),
         pair_samples=pairs_table(pairs, [body.name for body in bodies]),

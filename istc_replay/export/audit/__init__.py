@@ -10,6 +10,7 @@ from istc_replay.errors import ExportError
 from istc_replay.export.atomic import atomic_file, prepare_folder
 from istc_replay.export.audit.junit import audit_junit
 from istc_replay.export.audit.markdown import audit_markdown
+from istc_replay.export.audit.page import audit_html
 from istc_replay.export.audit.record import (
     Severity,
     audit_exit_code,
@@ -27,6 +28,7 @@ __all__ = [
     "AuditFormat",
     "Severity",
     "audit_exit_code",
+    "audit_html",
     "audit_junit",
     "audit_markdown",
     "audit_schema",
@@ -47,6 +49,7 @@ def write_audit(
     *,
     version: str,
     fail_on: Severity = "serious",
+    clips: Mapping[str, Path] | None = None,
 ) -> list[Path]:
     """Write an audit: audit.html, audit.md, audit.json, audit.junit.xml, audit.xqar, tables as Parquet.
 
@@ -62,6 +65,8 @@ def write_audit(
         That of the program, told in audit.xqar.
     fail_on : {"minor", "serious", "critical"}
         The least severity that fails a JUnit test case.
+    clips : mapping of str to Path, optional
+        Clips of the log that the report leads to, by the id of an encounter or finding.
 
     Returns
     -------
@@ -74,6 +79,7 @@ def write_audit(
         If a format is not one of these, or a file cannot be written.
     """
     writers: Mapping[str, tuple[str, Callable[[], bytes]]] = {
+        "html": ("audit.html", lambda: audit_html(audit, clips).encode()),
         "md": ("audit.md", lambda: audit_markdown(audit).encode()),
         "json": ("audit.json", lambda: json_bytes(audit_summary(audit))),
         "junit": ("audit.junit.xml", lambda: audit_junit(audit, fail_on)),

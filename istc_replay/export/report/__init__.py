@@ -13,6 +13,7 @@ from istc_replay.errors import ConfigError
 from istc_replay.export.colours import vehicle_colours
 from istc_replay.export.figures import window_scene
 from istc_replay.export.figures.style import line_colour
+from istc_replay.export.report.findings import recorded_behaviour
 from istc_replay.export.report.header import head, problem_list, settings, window_list
 from istc_replay.export.report.markup import Html, element
 from istc_replay.export.report.page import page
@@ -69,6 +70,7 @@ def report_html(result: Result, title: str) -> str:
         window_list(windows, verdicts),
         _left_out(windows, pictures),
         sections or element("p", "The log has no window to plan."),
+        recorded_behaviour(result),
         problem_list((summary.get("input") or {}).get("problems") or []),
         settings(result),
     ]

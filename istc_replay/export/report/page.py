@@ -59,7 +59,7 @@ margin:.75rem 0 1rem;border-radius:.25rem}}
 .bad>p:first-child,td.bad,span.bad{{color:var(--bad)}}
 .open>p:first-child,td.open,span.open{{color:var(--open)}}
 td span.good,td span.bad,td span.open{{font-weight:600}}
-td span{{white-space:nowrap}}
+td span,th span{{white-space:nowrap}}
 .swatch{{display:inline-block;width:.75em;height:.75em;margin-right:.4em;border:1px solid var(--muted)}}
 figure{{margin:1.25rem 0;break-inside:avoid}}
 figure svg{{display:block;width:100%;height:auto;font-family:system-ui,sans-serif}}

@@ -7,6 +7,7 @@ from typing import Any
 
 import polars as pl
 
+from istc_replay.export.report.findings import against_plan_table
 from istc_replay.export.report.header import moment
 from istc_replay.export.report.markup import (
     NOTHING,
@@ -50,6 +51,7 @@ def window_section(
         _layer_1(entry),
         _undrivable(entry),
         _certificates(certificates, start_ns),
+        _against(entry),
         _solves(solves),
     ]
     body: Html = join([pictures, parts])
@@ -176,6 +178,11 @@ def _undrivable(entry: Row) -> Html | None:
 def _certificates(certificates: Sequence[Row], start_ns: int) -> Html | None:
     if not certificates:
         return None
+    return join([element("h3", "Certificate"), certificates_table(certificates, start_ns)])
+
+
+def certificates_table(certificates: Sequence[Row], start_ns: int) -> Html:
+    """The table of a window's checks; times count from start_ns."""
     rows = []
     for row in certificates:
         tone, word = _WORDS.get(str(row["verdict"]), ("", str(row["verdict"]).replace("_", " ")))
@@ -194,7 +201,17 @@ def _certificates(certificates: Sequence[Row], start_ns: int) -> Html | None:
         )
     headings = ("Check", "verdict", "margin", "unit", "witness", "detail")
     caption = "Each check with its least margin (below zero: violated), and where that margin is found"
-    return join([element("h3", "Certificate"), table(caption, headings, rows, (2,))])
+    return table(caption, headings, rows, (2,))
+
+
+def _against(entry: Row) -> Html | None:
+    rows = [
+        {"vehicle_id": vehicle.get("id"), "start_ns": int(entry["start_ns"]), **told}
+        for vehicle in entry.get("vehicles") or []
+        if (told := vehicle.get("recorded_against_plan"))
+    ]
+    compared = against_plan_table(rows, windows=False)
+    return join([element("h3", "Recorded against planned"), compared]) if compared else None
 
 
 def _solves(solves: pl.DataFrame) -> Html | None:
