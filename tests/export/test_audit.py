@@ -30,7 +30,7 @@ from istc_replay.states import STATES_SCHEMA, conform
 ROOT = Path(__file__).resolve().parents[2]
 NS = 1_000_000_000
 T = np.arange(0, 8.01, 0.1)
-FILES: list[Any] = ["parquet", "json", "md", "junit", "xqar"]
+FILES: list[Any] = ["parquet", "json", "md", "junit", "xqar", "html"]
 
 
 def vehicle(name: str, **columns: Any) -> pl.DataFrame:
@@ -168,7 +168,7 @@ def test_files_are_written_and_repeat_byte_for_byte(tmp_path: Path) -> None:
     files = write_audit(audit, tmp_path / "one", FILES, version="1")
     assert [path.name for path in files] == [
         "findings.parquet", "encounters.parquet", "pair_samples.parquet", "vehicle_samples.parquet",
-        "coverage.parquet", "audit.json", "audit.md", "audit.junit.xml", "audit.xqar",
+        "coverage.parquet", "audit.json", "audit.md", "audit.junit.xml", "audit.xqar", "audit.html",
     ]  # fmt: skip
     again = write_audit(crash(), tmp_path / "two", FILES, version="1")
     assert [path.read_bytes() for path in files] == [path.read_bytes() for path in again]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -15,13 +15,16 @@ from matplotlib.lines import Line2D
 from numpy.typing import NDArray
 
 from istc_replay.datatypes import FloatArray
+from istc_replay.export.colours import PALETTE
 from istc_replay.export.figures.style import (
     CONTACT,
     GRID,
     INK,
+    MARKERS,
     MUTED,
     PAPER,
     VehicleStyle,
+    line_colour,
     new_figure,
     vehicle_legend,
     vehicle_styles,
@@ -108,6 +111,7 @@ def draw_encounter(recording: Recording, row: dict[str, Any]) -> Figure | None:
     if pair[0] is None or pair[1] is None:
         return None
     one, two = pair[0], pair[1]
+    recording = replace(recording, styles={**recording.styles, **_told_apart(recording, one.name, two.name)})
     when = row["least_gap_ns"] if row["least_gap_ns"] is not None else row["worst_ns"]
     figure = new_figure(_WIDTH_IN, 4.6)
     above = figure.add_axes((0.06, 0.13, 0.43, 0.78))
@@ -127,6 +131,16 @@ def draw_encounter(recording: Recording, row: dict[str, Any]) -> Figure | None:
     plots[2].set_xlabel("time from the log's first state [s]")
     vehicle_legend(figure, [recording.styles[b.name] for b in (one, two)], loc="lower left", ncols=2)
     return figure
+
+
+def _told_apart(recording: Recording, first: str, second: str) -> dict[str, VehicleStyle]:
+    """The styles of a pair; of one colour, as colours repeat, the second gets another one."""
+    one, two = recording.styles[first], recording.styles[second]
+    if one.colour == two.colour:
+        two = replace(two, colour=next(c for c in map(line_colour, PALETTE) if c != one.colour))
+    if one.marker == two.marker:
+        two = replace(two, marker=next(m for m in MARKERS if m != one.marker))
+    return {first: one, second: two}
 
 
 def _ns(seconds: float) -> int:
