@@ -11,8 +11,9 @@ from istc_replay.export.audit.pictures import Recording, draw_encounter
 from istc_replay.export.figures import figure_bytes
 from istc_replay.export.figures.style import drawing_style
 from istc_replay.export.report.findings import findings_table, severity_word
-from istc_replay.export.report.markup import Html, element, facts, join, names, number, shortened, visible
+from istc_replay.export.report.markup import Html, element, facts, join, names, number
 from istc_replay.export.report.pictures import inline_svg
+from istc_replay.export.text import shortened, visible
 from istc_replay.safety.rules import worst_first
 from istc_replay.units import NS_PER_S
 
@@ -91,7 +92,7 @@ def _picture(recording: Recording, row: Row, k: int) -> Html | None:
     if figure is None:
         return None
     at = number((row["worst_ns"] - recording.start_ns) / NS_PER_S, 2, "s")
-    who = " and ".join(visible(shortened(str(row[side]))) for side in ("first", "second"))
+    who = " and ".join(visible(shortened(str(row[side]), 40)) for side in ("first", "second"))
     alternative = (
         f"{who} from above at {at}; their gap, time to collision and speeds about it. "
         f"The least gap is {number(row['least_gap_m'], 2, 'm')}."

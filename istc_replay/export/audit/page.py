@@ -26,13 +26,12 @@ from istc_replay.export.report.markup import (
     names,
     number,
     prose,
-    shortened,
     table,
-    visible,
 )
 from istc_replay.export.report.page import page
 from istc_replay.export.report.pictures import inline_svg
 from istc_replay.export.report.window import certificates_table
+from istc_replay.export.text import shortened, visible
 from istc_replay.safety.log_audit import Audit
 from istc_replay.safety.rules import (
     CORRIDOR_RULE,
