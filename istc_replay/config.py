@@ -302,8 +302,8 @@ class CertificateConfig(Section):
 class ViewConfig(Section):
     """The Rerun view."""
 
-    metres_per_second: Positive = 2.0
-    """Height of a second in the (x, y, t) view."""
+    metres_per_second: Positive | None = None
+    """Height of a second in the (x, y, t) view; without it as the scene's size wants."""
 
 
 class Config(Section):

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
 from istc_replay import tell
 from istc_replay.cli.common import FILE, Progress, config_option, print_lines
-from istc_replay.cli.view import show
-from istc_replay.errors import IstcReplayError
+from istc_replay.errors import ExportError, IstcReplayError
+
+if TYPE_CHECKING:
+    from istc_replay.pipeline.live import LiveView
 
 
 @click.command()
@@ -21,8 +24,16 @@ from istc_replay.errors import IstcReplayError
 @click.option(
     "--jobs", type=click.IntRange(1, 256), default=1, show_default=True, help="Windows planned at once."
 )
-@click.option("--view", is_flag=True, help="Open the view when done.")
-def run(logs: tuple[Path, ...], config_path: Path | None, output: Path, jobs: int, view: bool) -> int:
+@click.option("--view", is_flag=True, help="Watch the windows in Rerun while they are solved.")
+@click.option("--connect", metavar="URL", help="Watch them in the Rerun viewer that runs there.")
+def run(
+    logs: tuple[Path, ...],
+    config_path: Path | None,
+    output: Path,
+    jobs: int,
+    view: bool,
+    connect: str | None,
+) -> int:
     """Replay LOGS: per log result.mcap, view.rrd, report.html and summary.json.
 
     \b
@@ -35,11 +46,12 @@ def run(logs: tuple[Path, ...], config_path: Path | None, output: Path, jobs: in
 
     config = load_config(config_path)
     folders = result_folders(logs, output)
+    live = _live_view(connect) if view or connect else None
     worst = 0
     for path, folder in folders.items():
         with Progress(path.name) as progress:
             try:
-                done = run_log(path, folder, config, progress, jobs)
+                done = run_log(path, folder, config, progress, jobs, live)
             except IstcReplayError as error:
                 # Of many logs, one that fails does not stop the others.
                 if len(folders) == 1:
@@ -49,7 +61,18 @@ def run(logs: tuple[Path, ...], config_path: Path | None, output: Path, jobs: in
                 continue
         print_lines(tell.run_lines(done.summary, folder))
         worst = max(worst, done.exit_code)
-    if view:
-        for folder in folders.values():
-            show(folder)
+    if live is not None and live.lost:
+        click.echo(f"istc-replay: the view was lost: {tell.line(live.lost)}", err=True)
     return worst
+
+
+def _live_view(connect: str | None) -> LiveView | None:
+    """A viewer to watch in; without a screen the run goes on unwatched, and says so."""
+    from istc_replay.export.rerun_viewer import start_viewer
+    from istc_replay.pipeline.live import LiveView
+
+    try:
+        return LiveView(connect or start_viewer())
+    except ExportError as error:
+        click.echo(f"istc-replay: not watched: {tell.line(error)}", err=True)
+        return None

@@ -1,7 +1,9 @@
-"""One colour a vehicle, the same in every view: Rerun, Foxglove and the report."""
+"""One colour a vehicle, the same in every view and in every result: Rerun, Foxglove and the report."""
 
 from __future__ import annotations
 
+import hashlib
+import re
 from collections.abc import Iterable
 
 Colour = tuple[int, int, int]
@@ -22,24 +24,41 @@ RECORDED: Colour = (128, 128, 128)
 LANE: Colour = (140, 140, 140)
 OBSTACLE: Colour = (96, 96, 96)
 
+#: Beyond one round of the palette its colours come again, a shade darker, then a shade lighter.
+_SHADES = 3
+
 
 def vehicle_colours(vehicle_ids: Iterable[str]) -> dict[str, Colour]:
-    """Give each vehicle a colour of the palette, in the order of the sorted ids, cycling.
+    """Give each vehicle the colour of its id, whoever else is there.
+
+    Vehicles that are numbered take the colours in turn, from a place that their common name tells;
+    other names take a colour by their digest.
 
     Parameters
     ----------
     vehicle_ids : iterable of str
-        All vehicles of the result, in any order; repeats count once.
+        All vehicles, in any order; repeats count once.
 
     Returns
     -------
     dict
-        Red, green and blue, 0 to 255, by vehicle id. Equal sets of ids give equal colours.
+        Red, green and blue, 0 to 255, by vehicle id, in the order of the ids.
     """
-    return {
-        vehicle_id: PALETTE[index % len(PALETTE)]
-        for index, vehicle_id in enumerate(sorted(set(vehicle_ids), key=_natural))
-    }
+    return {vehicle_id: _colour(vehicle_id) for vehicle_id in sorted(set(vehicle_ids), key=_natural)}
+
+
+def _colour(vehicle_id: str) -> Colour:
+    name, number = re.fullmatch(r"(.*?)([0-9]{0,9})", vehicle_id, re.DOTALL).groups()  # type: ignore[union-attr]
+    digest = hashlib.sha256(name.encode("utf-8", "surrogatepass")).digest()
+    begin = int.from_bytes(digest[:4], "big") if name else 0
+    place = begin % len(PALETTE) + int(number) - 1 if number else begin
+    red, green, blue = PALETTE[place % len(PALETTE)]
+    shade = place // len(PALETTE) % _SHADES
+    if shade == 1:
+        return red * 7 // 10, green * 7 // 10, blue * 7 // 10
+    if shade == 2:
+        return (red + 150) // 2 + 20, (green + 150) // 2 + 20, (blue + 150) // 2 + 20
+    return red, green, blue
 
 
 def _natural(vehicle_id: str) -> tuple[int, str]:

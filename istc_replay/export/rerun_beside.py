@@ -16,7 +16,7 @@ from istc_replay.config import parse_config
 from istc_replay.datatypes import Result
 from istc_replay.errors import ConfigError
 from istc_replay.export.atomic import atomic_file
-from istc_replay.export.rerun_text import escaped
+from istc_replay.export.rerun_markdown import escaped
 from istc_replay.export.rerun_view import recording_id, view_chunks
 
 APPLICATION_ID = "istc-replay-compare"
@@ -121,7 +121,7 @@ def write_beside(comparison: Comparison, a: Result, b: Result, path: Path) -> No
         APPLICATION_ID, recording_id=identity, make_default=False, send_properties=False
     )
     memory = recording.memory_recording()
-    rr.send_blueprint(beside_blueprint(), make_active=False, make_default=True, recording=recording)
+    rr.send_blueprint(beside_blueprint(), make_active=True, make_default=True, recording=recording)
     rr.send_recording_name("A beside B", recording=recording)
     rr.send_chunks(beside_chunks(comparison, a, b), recording=recording)
     with atomic_file(path) as temporary:

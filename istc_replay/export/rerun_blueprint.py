@@ -7,16 +7,29 @@ follow eyes that the data itself provides.
 
 from __future__ import annotations
 
+from typing import Any
+
+import rerun as rr
 import rerun.blueprint as rrb
 
+#: The tab of the view from above that follows whom one asked for.
+CLOSE_UP = 3
 _LINKED = rrb.components.LinkAxis.LinkToGlobal
 
 
-def blueprint() -> rrb.Blueprint:
-    """The layout: space-time, the view from above, report and events; plots and states below."""
+def blueprint(*, tab: int = 0, above: int | None = None) -> rrb.Blueprint:
+    """The layout: space-time, the view from above, report and events; plots and states below.
+
+    Parameters
+    ----------
+    tab : int
+        Which of its tabs each stack shows at first: both, planned, recorded.
+    above : int, optional
+        Which tab the view from above shows at first; `CLOSE_UP` follows whom one asked for.
+    """
     upper = rrb.Horizontal(
-        _space_time_tabs(),
-        _above_tabs(),
+        _space_time_tabs(tab),
+        _above_tabs(tab if above is None else above),
         rrb.Vertical(
             rrb.TextDocumentView(name="report", origin="/report", contents=["/report/**"]),
             _events(),
@@ -25,10 +38,10 @@ def blueprint() -> rrb.Blueprint:
         column_shares=[40, 31, 29],
     )
     lower = rrb.Horizontal(
-        _plot_tabs("speed", "speed [m/s]"),
-        _plot_tabs("acceleration", "accel [m/s²]"),
-        _plot_tabs("clearance", "clearance [m]"),
-        _state_tabs(),
+        _plot_tabs("speed", "speed [m/s]", tab),
+        _plot_tabs("acceleration", "accel [m/s²]", tab),
+        _plot_tabs("clearance", "clearance [m]", tab),
+        _state_tabs(tab),
         column_shares=[26, 26, 24, 24],
     )
     return rrb.Blueprint(
@@ -41,44 +54,74 @@ def blueprint() -> rrb.Blueprint:
     )
 
 
-def _space_time_tabs() -> rrb.Tabs:
+def _tabs(views: list[Any], tab: int) -> rrb.Tabs:
+    return rrb.Tabs(*views, active_tab=min(tab, len(views) - 1))
+
+
+def _space_time_tabs(tab: int) -> rrb.Tabs:
     shared = ["/space_time/shared/**", "/now/square/**", "/camera/**"]
-    planned = ["/space_time/planned/**", "/now/planned/box/**"]
+    quiet = "/space_time/quiet"
+    planned = ["/space_time/planned/**", "/now/planned/box/**", f"{quiet}/planned/**"]
     recorded = ["/space_time/recorded/**", "/now/recorded/box/**"]
-    contents = {"both": planned + recorded, "planned": planned, "recorded": recorded}
-    return rrb.Tabs(
-        *(
+    contents = {
+        "corridors x-y-t: both": planned + recorded,
+        "planned": planned,
+        "recorded": [*recorded, "/now/names/**"],
+    }
+    return _tabs(
+        [
             rrb.Spatial3DView(
-                name=f"corridors x-y-t: {name}",
+                name=name,
                 origin="/",
                 contents=shared + own,
                 eye_controls=rrb.EyeControls3D(tracking_entity="/camera"),
                 line_grid=rrb.LineGrid3D(visible=True, stroke_width=0.5),
+                defaults=_names(False),
+                overrides=_hidden(quiet),
             )
             for name, own in contents.items()
-        )
+        ],
+        tab,
     )
 
 
-def _above_tabs() -> rrb.Tabs:
-    shared = ["/now/shared/**", "/now/camera/**"]
-    contents = {
-        "both": ["/now/planned/**", "/now/recorded/**"],
-        "planned": ["/now/planned/**"],
-        "recorded": ["/now/recorded/**", "/now/names/**"],
+def _above_tabs(tab: int) -> rrb.Tabs:
+    shared = ["/now/shared/**"]
+    planned, recorded = ["/now/planned/**"], ["/now/recorded/**"]
+    quiet = "/now/quiet"
+    both = [*planned, *recorded, f"{quiet}/planned/**", f"{quiet}/recorded/**"]
+    tabs = {
+        "top-down: both": (both, "camera", False),
+        "planned": ([*planned, f"{quiet}/planned/**"], "camera", False),
+        "recorded": ([*recorded, "/now/names/**", f"{quiet}/recorded/**"], "camera", False),
+        "close-up": (both, "close_up", True),
+        "names": (both, "camera", True),
     }
-    return rrb.Tabs(
-        *(
+    return _tabs(
+        [
             rrb.Spatial3DView(
-                name=f"top-down: {name}",
+                name=name,
                 origin="/now",
-                contents=shared + own,
-                eye_controls=rrb.EyeControls3D(tracking_entity="/now/camera"),
+                contents=[*shared, f"/now/{eye}/**", *own],
+                eye_controls=rrb.EyeControls3D(tracking_entity=f"/now/{eye}"),
                 line_grid=rrb.LineGrid3D(visible=False),
+                defaults=_names(named),
+                overrides=_hidden(quiet),
             )
-            for name, own in contents.items()
-        )
+            for name, (own, eye, named) in tabs.items()
+        ],
+        tab,
     )
+
+
+def _names(shown: bool) -> list[rr.Boxes3D]:
+    """Whether boxes are named that do not say so themselves."""
+    return [rr.Boxes3D.from_fields(show_labels=shown)]
+
+
+def _hidden(root: str) -> dict[str, rrb.EntityBehavior]:
+    """A subtree that shows when its eye in the view's tree is clicked."""
+    return {root: rrb.EntityBehavior(visible=False)}
 
 
 def _events() -> rrb.TextLogView:
@@ -92,12 +135,16 @@ def _events() -> rrb.TextLogView:
 
 def _plot(signal: str, name: str, source: str = "") -> rrb.TimeSeriesView:
     root = f"/plots/{signal}"
+    quiet = f"{root}/quiet" if signal != "clearance" else None
     contents = [f"{root}/{source}/**", f"{root}/limit/**"] if source else [f"{root}/**"]
+    if source and quiet:
+        contents.append(f"{quiet}/{source}/**")
     return rrb.TimeSeriesView(
-        name=f"{name.split()[0]}: {source}" if source else name,
+        name=source or name,
         origin=root,
         contents=contents,
         axis_x=rrb.TimeAxis(link=_LINKED),
+        overrides=_hidden(quiet) if quiet else None,
         # The least clearances are what one looks for at the bottom.
         plot_legend=rrb.PlotLegend(
             rrb.Corner2D.RightTop if signal == "clearance" else rrb.Corner2D.RightBottom
@@ -105,19 +152,21 @@ def _plot(signal: str, name: str, source: str = "") -> rrb.TimeSeriesView:
     )
 
 
-def _plot_tabs(signal: str, name: str) -> rrb.Tabs:
-    return rrb.Tabs(_plot(signal, name), _plot(signal, name, "planned"), _plot(signal, name, "recorded"))
+def _plot_tabs(signal: str, name: str, tab: int) -> rrb.Tabs:
+    return _tabs([_plot(signal, name, source) for source in ("", "planned", "recorded")], tab)
 
 
-def _state_tabs() -> rrb.Tabs:
-    return rrb.Tabs(
+def _state_tabs(tab: int) -> rrb.Tabs:
+    views = [
         rrb.StateTimelineView(
             name="states",
-            origin="/states",
-            contents=["/states/**"],
+            origin="/",
+            contents=["/states/**", "/quiet/states/**"],
             time_view=rrb.TimeAxis(link=_LINKED),
+            overrides=_hidden("/quiet/states"),
         ),
         rrb.GraphView(name="precedence", origin="/precedence", contents=["/precedence/**"]),
         _plot("steering", "steering [rad]"),
         _plot("jerk", "jerk [m/s³]"),
-    )
+    ]
+    return _tabs(views, tab)

@@ -47,10 +47,12 @@ class Clock:
 
     origin_ns: int
     unit_starts_ns: IntArray
+    first_unit: int = 0
 
     def units(self, times_ns: ArrayLike) -> IntArray:
-        """Number of the time unit that each instant (S,) lies in; -1 before the first."""
-        return np.searchsorted(self.unit_starts_ns, np.asarray(times_ns, dtype=np.int64), side="right") - 1
+        """Number of the time unit that each instant (S,) lies in; one less than the first before it."""
+        times = np.asarray(times_ns, dtype=np.int64)
+        return np.searchsorted(self.unit_starts_ns, times, side="right") - 1 + self.first_unit
 
     def columns(self, times_ns: ArrayLike, units: ArrayLike | None = None) -> list[rr.TimeColumn]:
         """Index columns of a chunk whose rows hold from the instants (S,) on."""

@@ -25,12 +25,15 @@ from istc_replay.datatypes import FloatArray
 from istc_replay.export.colours import LANE, PALETTE, Colour
 from istc_replay.export.rerun_chunks import FOREVER_NS, IntArray, each, entity, ragged, same, shown, static
 from istc_replay.export.rerun_clearance import HORIZON_M, Clearance, closest_pairs
-from istc_replay.export.rerun_stage import Span, Stage, Track, greyed
+from istc_replay.export.rerun_stage import Span, Stage, greyed
+from istc_replay.export.rerun_tracks import Track
 
 STOP_MPS = 0.3
 YIELD_SHARE = 0.85
 TURN_RADPS = 0.1
 _SHORTEST_NS = 400_000_000
+#: Of results with more states only the starring vehicles are plotted.
+_QUIET_STATES = 400_000
 _STATE_COLOURS: dict[str, Colour] = {
     "cruise": (70, 150, 80),
     "yield": (205, 130, 30),
@@ -48,14 +51,21 @@ _SIGNALS = {
 
 
 def plot_chunks(stage: Stage, found: list[Clearance]) -> list[Chunk]:
-    """Chunks under `/plots`, `/states` and `/precedence`."""
+    """Chunks under `/plots`, `/states`, `/quiet/states` and `/precedence`."""
     chunks = _limits(stage)
     for source, tracks in (("recorded", stage.recorded), ("planned", stage.in_force)):
         for track in tracks.values():
-            chunks += _signals(stage, source, track)
+            if track.vehicle_id in stage.starring or plots_all(stage):
+                chunks += _signals(stage, source, track)
     for vehicle_id in stage.vehicle_ids:
         chunks += _states(stage, vehicle_id)
     return chunks + _clearances(stage, found) + _precedence(stage)
+
+
+def plots_all(stage: Stage) -> bool:
+    """Whether the plots of all vehicles are small enough to be in the view, those of the others quietly."""
+    tracks = (*stage.recorded.values(), *stage.in_force.values())
+    return sum(len(track.times_ns) for track in tracks) <= _QUIET_STATES
 
 
 # --- plots -----------------------------------------------------------------------------------
@@ -94,6 +104,7 @@ def _limits(stage: Stage) -> list[Chunk]:
 
 def _signals(stage: Stage, source: str, track: Track) -> list[Chunk]:
     name, planned, chunks = stage.names[track.vehicle_id], source == "planned", []
+    place = (source,) if track.vehicle_id in stage.starring else ("quiet", source)
     colour = stage.colours[track.vehicle_id] if planned else stage.recorded_colour(track.vehicle_id)
     for signal, attribute in _SIGNALS.items():
         values = getattr(track, attribute)
@@ -101,7 +112,7 @@ def _signals(stage: Stage, source: str, track: Track) -> list[Chunk]:
             style = {"names": [f"{name} {source}"], "colors": [colour], "widths": [2.4 if planned else 1.0]}
             if planned and signal == "jerk":
                 style["interpolation_mode"] = [rr.components.InterpolationMode.StepAfter]
-            path = entity("plots", signal, source, name)
+            path = entity("plots", signal, *place, name)
             chunks += [static(path, rr.SeriesLines.columns(**style)), *_line(stage, path, track, values)]
     return chunks
 
@@ -203,7 +214,8 @@ def _states(stage: Stage, vehicle_id: str) -> list[Chunk]:
         if following is None or end < following[0]:
             times.append(end)
             counts.append(0)  # no state ends the lane
-    path = entity("states", stage.names[vehicle_id])
+    place = ("states",) if vehicle_id in stage.starring else ("quiet", "states")
+    path = entity(*place, stage.names[vehicle_id])
     style = rr.StateConfiguration.columns(
         values=list(_STATE_COLOURS), labels=list(_STATE_COLOURS), colors=list(_STATE_COLOURS.values())
     ).partition([len(_STATE_COLOURS)])

@@ -10,67 +10,46 @@ from rerun.chunk import Chunk
 from istc_replay.datatypes import FloatArray
 from istc_replay.export.colours import LANE, Colour
 from istc_replay.export.rerun_chunks import (
-    FOREVER_NS,
     at_height,
     each,
     entity,
     ragged,
     same,
     shown,
-    static,
     ui_radius,
 )
-from istc_replay.export.rerun_stage import Span, Stage, local_cubes, local_points
+from istc_replay.export.rerun_stage import Root, Span, Stage, local_cubes, local_points
+from istc_replay.geometry import rotate
 
 FILL = rr.components.FillMode
 
 #: Vertical field of view of the eyes.
 FOV_RAD = 0.9
 _EYE_AZIMUTH_RAD, _EYE_ELEVATION_RAD = -1.05, 0.5
+#: Distance of the eye in radii of the scene, and the share of the tower's height that it looks at.
+_EYE_RADII, _EYE_HEIGHT = 0.62, 0.38
 _DASH_S = 0.25
+#: Foot of the ruler in shares of the ground's half sides.
+_RULER = (-1.0, -0.55)
 _TICKS_S = (1.0, 2.0, 5.0, 10.0, 30.0, 60.0, 300.0, 3600.0)
 
 
 def space_time_chunks(stage: Stage) -> list[Chunk]:
-    """Chunks under `/space_time` and the eye of their view."""
+    """Chunks under `/space_time`."""
     chunks = _obstacles(stage)
     if stage.spans:
-        chunks += _ruler(stage) + _eye(stage)
+        chunks += _ruler(stage)
     for vehicle_id in stage.vehicle_ids:
-        chunks += _corridor(stage, vehicle_id) + _trajectories(stage, vehicle_id)
+        for root, spans in stage.roots("space_time", vehicle_id):
+            chunks += _corridor(stage, vehicle_id, root, spans)
+        chunks += _trajectories(stage, vehicle_id)
     return chunks
 
 
-def pinhole(path: str) -> Chunk:
-    """An eye that a view can follow, so that the blueprint need not know the scene's size."""
-    batches = rr.Pinhole(
-        fov_y=FOV_RAD, aspect_ratio=1.0, image_plane_distance=1e-3, line_width=0.0
-    ).as_component_batches()
-    return static(path, [rr.ComponentColumn(batch.component_descriptor(), batch) for batch in batches])
-
-
-def eye_times(stage: Stage) -> list[int]:
-    """Since when each window's eye is in force: the first since the first record."""
-    first = min([stage.spans[0].start_ns, *(int(track.times_ns[0]) for track in stage.recorded.values())])
-    return [first, *(span.start_ns for span in stage.spans[1:])]
-
-
-def _eye(stage: Stage) -> list[Chunk]:
-    azimuth, elevation = _EYE_AZIMUTH_RAD, _EYE_ELEVATION_RAD
-    flat = np.cos(elevation)
-    look = -np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(elevation)])
-    right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
-    turn = np.column_stack([right, np.cross(look, right), look])  # the image's right, down, forward
-    places = []
-    for span in stage.spans:
-        x0, x1, y0, y1 = stage.extents[span.index]
-        top = span.duration_s * stage.metres_per_second
-        radius = np.linalg.norm([x1 - x0, y1 - y0, top]) / 2.0
-        centre = np.array([(x0 + x1) / 2.0, (y0 + y1) / 2.0, 0.4 * top])
-        places.append(centre - look * 0.7 * radius / np.sin(FOV_RAD / 2.0))
-    path, rows = entity("camera"), len(places)
-    columns = each(rr.Transform3D, translation=np.array(places), mat3x3=np.tile(turn, (rows, 1, 1)))
-    return [pinhole(path), *shown(stage.clock, path, eye_times(stage), [FOREVER_NS] * rows, columns)]
+def ruler_foot(stage: Stage, span: Span) -> tuple[float, float]:
+    """Where a window's ruler of time stands: at the side that the eye sees on the left."""
+    x, y = stage.grounds[span.index].points([_RULER])[0].tolist()
+    return x, y
 
 
 def _ruler(stage: Stage) -> list[Chunk]:
@@ -79,15 +58,15 @@ def _ruler(stage: Stage) -> list[Chunk]:
     names: list[str] = []
     counts = []
     for span in stage.spans:
-        x, _, y0, y1 = stage.extents[span.index]
-        x, y = x - 3.0, 0.3 * y0 + 0.7 * y1  # beside the corridors, and in the eye's sight
+        x, y = ruler_foot(stage, span)
         step_s = next((s for s in _TICKS_S if span.duration_s / s <= 7.0), span.duration_s)
         ticks_s = np.arange(0.0, span.duration_s + 1e-9, step_s)
         offset_s = (span.start_ns - stage.clock.origin_ns) / 1e9
         heights = ticks_s * stage.metres_per_second
         top = span.duration_s * stage.metres_per_second
         strips.append(np.array([[x, y, 0.0], [x, y, top]]))
-        strips += [np.array([[x - 1.0, y, z], [x, y, z]]) for z in heights]
+        tick = rotate([-1.0, 0.0], span.frame.yaw_rad)
+        strips += [np.array([[x + tick[0], y + tick[1], z], [x, y, z]]) for z in heights]
         names += [f"t = {offset_s + tick:g} s" for tick in ticks_s]
         counts.append(len(ticks_s))
     starts, ends = stage.overview(list(stage.spans))
@@ -159,11 +138,9 @@ def _heights(stage: Stage, tables: list[tuple[Span, pl.DataFrame]]) -> tuple[Flo
     return np.concatenate(bottoms), np.concatenate(tops)
 
 
-def _corridor(stage: Stage, vehicle_id: str) -> list[Chunk]:
+def _corridor(stage: Stage, vehicle_id: str, root: Root, shown_in: set[int]) -> list[Chunk]:
     """Corridor-cubes of the whole window, the present one filled, and the pivotal points."""
-    tables = stage.by_span(
-        stage.result.corridors.filter(pl.col("vehicle_id") == vehicle_id).sort("window", "k")
-    )
+    tables = stage.cubes_of(vehicle_id, shown_in)
     if not tables:
         return []
     name, colour, clock = stage.names[vehicle_id], stage.colours[vehicle_id], stage.clock
@@ -180,7 +157,7 @@ def _corridor(stage: Stage, vehicle_id: str) -> list[Chunk]:
     return [
         *shown(
             clock,
-            entity("space_time", "planned", "corridors", name),
+            entity(*root, "planned", "corridors", name),
             *stage.overview(spans),
             ragged(rr.Boxes3D, counts, **cubes),
             same(rr.Boxes3D, colors=(*colour, 120), fill_mode=FILL.TransparentFillMajorWireframe),
@@ -188,7 +165,7 @@ def _corridor(stage: Stage, vehicle_id: str) -> list[Chunk]:
         ),
         *shown(
             clock,
-            entity("space_time", "planned", "present", name),
+            entity(*root, "planned", "present", name),
             starts,
             ends,
             each(rr.Boxes3D, **{key: values[keep] for key, values in cubes.items()}),
@@ -196,7 +173,7 @@ def _corridor(stage: Stage, vehicle_id: str) -> list[Chunk]:
         ),
         *shown(
             clock,
-            entity("space_time", "planned", "pivots", name),
+            entity(*root, "planned", "pivots", name),
             *stage.overview(spans),
             ragged(rr.Points3D, [len(p) for p in pivots], positions=np.vstack(pivots)),
             same(rr.Points3D, colors=colour, radii=ui_radius(3.0)),
@@ -224,8 +201,9 @@ def _trajectories(stage: Stage, vehicle_id: str) -> list[Chunk]:
     grey = stage.recorded_colour(vehicle_id)
     roots = {source: ("space_time", source, "trajectory", name) for source in ("planned", "recorded")}
     dashed = [(span, _dashes(points, stage.metres_per_second)) for span, points in lines["guidance"]]
+    thick = 2.6 if vehicle_id in stage.starring else 1.2
     return [
-        *line_chunks(stage, entity(*roots["planned"]), lines["planned"], colour, 2.6),
+        *line_chunks(stage, entity(*roots["planned"]), lines["planned"], colour, thick),
         *line_chunks(stage, entity(*roots["recorded"]), lines["recorded"], grey, 1.1),
         *line_chunks(stage, entity("space_time", "planned", "guidance", name), dashed, colour, 1.2),
     ]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -14,18 +14,17 @@ from istc_replay.config import Config, ViewConfig, parse_config
 from istc_replay.datatypes import FloatArray, Frame, Result
 from istc_replay.export.colours import Colour, vehicle_colours
 from istc_replay.export.rerun_chunks import FOREVER_NS, Clock, IntArray, label, quaternions
-from istc_replay.geometry import to_map
-from istc_replay.units import seconds_to_ns
+from istc_replay.export.rerun_tracks import Track, make_track
+from istc_replay.geometry import rotate, to_map
 
 BoolArray = NDArray[np.bool_]
+Root = tuple[str, ...]
 
-#: A recording is interrupted where states are this many sampling periods apart, or this long.
-_GAP_PERIODS = 4.0
-_LONGEST_GAP_NS = 3_000_000_000
 #: No place on Earth is this far from its map's origin; single precision could not hold it.
 _FARTHEST_M = 1e8
 _GREY = 150
 _MARGIN_M = 2.0
+_TOWER = 0.4
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,9 +45,32 @@ class Span:
         return (self.end_ns - self.start_ns) / 1e9
 
 
-def _spans(windows: list[dict[str, Any]]) -> tuple[Span, ...]:
+@dataclass(frozen=True, slots=True)
+class Anchor:
+    """What windows of a result that is still being made have in common.
+
+    Parameters
+    ----------
+    origin_ns, origin_m
+        Where the whole result's `scenario_time` and the view's places begin; None: with its first window.
+    until_ns
+        Start of the window after the last one here; None where there is none.
+    first_unit
+        Number of its first time unit.
+    metres_per_second
+        Height of a second; None: as the scene wants.
+    """
+
+    origin_ns: int | None = None
+    origin_m: tuple[float, float] | None = None
+    until_ns: int | None = None
+    first_unit: int = 0
+    metres_per_second: float | None = None
+
+
+def _spans(windows: list[dict[str, Any]], until_ns: int) -> tuple[Span, ...]:
     ordered = sorted(windows, key=lambda w: (w["start_ns"], w["index"]))
-    nexts = [*(w["start_ns"] for w in ordered), FOREVER_NS][1:]
+    nexts = [*(w["start_ns"] for w in ordered), until_ns][1:]
     return tuple(
         Span(
             index=w["index"],
@@ -63,7 +85,7 @@ def _spans(windows: list[dict[str, Any]]) -> tuple[Span, ...]:
     )
 
 
-def _clock(spans: tuple[Span, ...], states: pl.DataFrame) -> Clock:
+def _clock(spans: tuple[Span, ...], states: pl.DataFrame, anchor: Anchor) -> Clock:
     if not spans:
         first = int(states["time_ns"].to_numpy().min(initial=FOREVER_NS)) if states.height else 0
         return Clock(first, np.array([first], dtype=np.int64))
@@ -71,90 +93,9 @@ def _clock(spans: tuple[Span, ...], states: pl.DataFrame) -> Clock:
         s.start_ns + (s.end_ns - s.start_ns) * np.arange(s.units, dtype=np.int64) // s.units for s in spans
     ]
     shown = [unit[unit < s.shown_end_ns] for unit, s in zip(starts, spans, strict=True)]
-    return Clock(spans[0].start_ns, np.concatenate([*shown, [spans[-1].end_ns]]).astype(np.int64))
-
-
-# --- tracks ----------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Track:
-    """One vehicle's states from one source, in the view's local frame.
-
-    `times_ns` (S,); `ends_ns` (S,) until when each state is shown; `poses` (S, 3) x, y, unwrapped
-    heading; `sizes_m` (S, 2) length, width; the others (S,), NaN where unknown.
-    """
-
-    vehicle_id: str
-    times_ns: IntArray
-    ends_ns: IntArray
-    poses: FloatArray
-    sizes_m: FloatArray
-    speeds_mps: FloatArray
-    accelerations_mps2: FloatArray
-    steering_rad: FloatArray
-    jerks_mps3: FloatArray
-
-    def within(self, start_ns: int, end_ns: int) -> FloatArray:
-        """Times and poses (n, 4) of the states from start to end."""
-        rows = (self.times_ns >= start_ns) & (self.times_ns <= end_ns)
-        return np.column_stack([(self.times_ns[rows] - start_ns) / 1e9, self.poses[rows]])
-
-    def segments(self) -> list[slice]:
-        """The stretches between interruptions."""
-        breaks = np.flatnonzero(self.ends_ns[:-1] < self.times_ns[1:]) + 1
-        bounds = [0, *breaks.tolist(), len(self.times_ns)]
-        return [slice(a, b) for a, b in itertools.pairwise(bounds) if b > a]
-
-    def boxes_at(self, times_ns: IntArray) -> FloatArray:
-        """Oriented boxes (T, 5) x, y, heading, length, width at the instants; NaN where absent."""
-        boxes = np.full((len(times_ns), 5), np.nan)
-        for part in self.segments():
-            own = self.times_ns[part]
-            inside = (times_ns >= own[0]) & (times_ns <= own[-1])
-            values = np.column_stack([self.poses[part], self.sizes_m[part]])
-            # Differences first: float64 cannot tell nanoseconds of absolute time apart.
-            at, known = (times_ns[inside] - own[0]) / 1e9, (own - own[0]) / 1e9
-            boxes[inside] = np.column_stack([np.interp(at, known, column) for column in values.T])
-        return boxes
-
-
-def _track(vehicle_id: str, table: pl.DataFrame, origin_m: tuple[float, float], default: Config) -> Track:
-    table = table.sort("time_ns", maintain_order=True).unique("time_ns", keep="last", maintain_order=True)
-    times = table["time_ns"].to_numpy().astype(np.int64)
-    steps = np.diff(times)
-    period = min(int(np.median(steps)), _LONGEST_GAP_NS) if len(steps) else seconds_to_ns(0.1)
-    nexts = np.append(times[1:], FOREVER_NS)
-    kept = np.append(steps <= min(_GAP_PERIODS * period, _LONGEST_GAP_NS), False)
-    alone = np.minimum(times, FOREVER_NS - period) + period
-    column = {name: table[name].cast(pl.Float64).to_numpy().copy() for name in _TRACK_COLUMNS}
-    sizes = np.column_stack([column["length_m"], column["width_m"]])
-    fallback = np.array([default.vehicles.length_m, default.vehicles.width_m])
-    poses = [column["x_m"] - origin_m[0], column["y_m"] - origin_m[1], np.unwrap(column["heading_rad"])]
-    return Track(
-        vehicle_id=vehicle_id,
-        times_ns=times,
-        ends_ns=np.where(kept, nexts, alone),
-        poses=np.column_stack(poses),
-        sizes_m=np.where(np.isfinite(sizes) & (sizes > 0.0), sizes, fallback),
-        speeds_mps=column["speed_mps"],
-        accelerations_mps2=column["acceleration_mps2"],
-        steering_rad=column["steering_rad"],
-        jerks_mps3=column["jerk_mps3"],
-    )
-
-
-_TRACK_COLUMNS = (
-    "x_m",
-    "y_m",
-    "heading_rad",
-    "speed_mps",
-    "acceleration_mps2",
-    "steering_rad",
-    "jerk_mps3",
-    "length_m",
-    "width_m",
-)
+    origin = spans[0].start_ns if anchor.origin_ns is None else anchor.origin_ns
+    units = np.concatenate([*shown, [spans[-1].end_ns]]).astype(np.int64)
+    return Clock(origin, units, anchor.first_unit)
 
 
 # --- the stage -------------------------------------------------------------------------------
@@ -165,7 +106,10 @@ class Stage:
     """A result laid out for the view; positions are relative to `origin_m` of the map frame.
 
     `recorded` and `in_force` by vehicle (in_force: of every window's plan the part that is shown);
-    `planned` and `guidance` by window and vehicle. `extents` by window: see `_extent`.
+    `planned` and `guidance` by window and vehicle. `grounds` by window. `starring` are the vehicles
+    whose plots are shown, `leading` by window those that are named and whose corridors are shown
+    there; the rest waits under `quiet` (see `rerun_cast`). `follows` are the vehicles that the
+    close-up follows by window. `followed`: windows come after the last one here.
     """
 
     result: Result
@@ -180,7 +124,11 @@ class Stage:
     planned: dict[tuple[int, str], Track]
     guidance: dict[tuple[int, str], Track]
     names: dict[str, str]
-    extents: dict[int, FloatArray]
+    grounds: dict[int, Ground]
+    followed: bool = False
+    starring: frozenset[str] = frozenset()
+    leading: dict[int, frozenset[str]] = field(default_factory=dict)
+    follows: dict[int, tuple[str, ...]] = field(default_factory=dict)
 
     @property
     def vehicle_ids(self) -> list[str]:
@@ -191,10 +139,29 @@ class Stage:
         """Height of instants in the (x, y, t) view: every window starts on the ground."""
         return (np.asarray(times_ns, dtype=np.int64) - span.start_ns) / 1e9 * self.metres_per_second
 
+    def cubes_of(self, vehicle_id: str, windows: set[int]) -> list[tuple[Span, pl.DataFrame]]:
+        """A vehicle's corridor-cubes in some windows, window by window."""
+        mine = (pl.col("vehicle_id") == vehicle_id) & pl.col("window").is_in(sorted(windows))
+        return self.by_span(self.result.corridors.filter(mine).sort("window", "k"))
+
+    def roots(self, space: str, vehicle_id: str) -> list[tuple[Root, set[int]]]:
+        """The roots of a vehicle's entities, and the windows in which it is shown there."""
+        leads = {span.index for span in self.spans if vehicle_id in self.leading[span.index]}
+        return [((space,), leads), ((space, "quiet"), {span.index for span in self.spans} - leads)]
+
+    def leads_at(self, vehicle_id: str, times_ns: IntArray) -> BoolArray:
+        """Whether a vehicle is among the leading ones at the instants (S,)."""
+        if not self.spans:
+            return np.ones(len(times_ns), dtype=bool)
+        starts = np.array([span.start_ns for span in self.spans], dtype=np.int64)
+        leads = np.array([vehicle_id in self.leading[span.index] for span in self.spans])
+        # Before the first window it is as in it, after the last as in that.
+        return leads[np.clip(np.searchsorted(starts, times_ns, side="right") - 1, 0, None)]
+
     def overview_end_ns(self, span: Span) -> int:
         """When a window's overview is cleared: never, if nothing at all follows it."""
         last = max((int(track.times_ns[-1]) for track in self.recorded.values()), default=0)
-        follows = span is not self.spans[-1] or last > span.end_ns
+        follows = span is not self.spans[-1] or last > span.end_ns or self.followed
         return span.shown_end_ns if follows else FOREVER_NS
 
     def overview(self, spans: list[Span]) -> tuple[IntArray, IntArray]:
@@ -236,8 +203,8 @@ def greyed(colour: Colour) -> Colour:
     return (red + _GREY) // 2, (green + _GREY) // 2, (blue + _GREY) // 2
 
 
-def make_stage(result: Result, view: ViewConfig) -> Stage:
-    """Lay a result out for the view.
+def make_stage(result: Result, view: ViewConfig, anchor: Anchor = Anchor()) -> Stage:
+    """Lay a result out for the view; `anchor` where it is a part of a larger one.
 
     Raises
     ------
@@ -245,13 +212,14 @@ def make_stage(result: Result, view: ViewConfig) -> Stage:
         If the result's configuration cannot be read by this version.
     """
     config = parse_config(result.config_toml, f"{result.path}: config.toml")
-    spans = _spans(result.summary["windows"])
+    until_ns = FOREVER_NS if anchor.until_ns is None else anchor.until_ns
+    spans = _spans(result.summary["windows"], until_ns)
     placed = pl.all_horizontal(pl.col("x_m", "y_m").abs() < _FARTHEST_M)
     states = result.states.filter(placed & pl.col("heading_rad").is_finite())
-    origin = _origin(spans, states)
+    origin = anchor.origin_m or _origin(spans, states)
     sources = {
         source: {
-            key: _track(str(key[1]), table, origin, config)
+            key: make_track(str(key[1]), table, origin, config)
             for key, table in states.filter(pl.col("source") == source)
             .sort("window", "vehicle_id", maintain_order=True)
             .partition_by("window", "vehicle_id", as_dict=True)
@@ -259,7 +227,7 @@ def make_stage(result: Result, view: ViewConfig) -> Stage:
         }
         for source in ("planned", "guidance")
     }
-    shown_end = {s.index: s.shown_end_ns if s is not spans[-1] else FOREVER_NS for s in spans}
+    shown_end = {s.index: s.shown_end_ns if s is not spans[-1] else until_ns for s in spans}
     in_force = states.filter(
         pl.col("source") == "planned",
         pl.col("time_ns") < pl.col("window").replace_strict(shown_end, default=0, return_dtype=pl.Int64),
@@ -268,19 +236,22 @@ def make_stage(result: Result, view: ViewConfig) -> Stage:
     stage = Stage(
         result=result,
         config=config,
-        clock=_clock(spans, states),
+        clock=_clock(spans, states, anchor),
         spans=spans,
         origin_m=origin,
-        metres_per_second=view.metres_per_second,
+        metres_per_second=1.0,
         colours=vehicle_colours(ids),
         recorded=_by_vehicle(states.filter(pl.col("source") == "recorded"), origin, config),
         in_force=_by_vehicle(in_force, origin, config),
         planned=sources["planned"],
         guidance=sources["guidance"],
         names={vehicle_id: label(vehicle_id) for vehicle_id in ids},
-        extents={},
+        grounds={},
+        followed=anchor.until_ns is not None,
     )
-    return replace(stage, extents={span.index: _extent(stage, span) for span in spans})
+    grounds = {span.index: _ground(stage, span) for span in spans}
+    height = view.metres_per_second or anchor.metres_per_second or _metres_per_second(spans, grounds)
+    return replace(stage, grounds=grounds, metres_per_second=height)
 
 
 def _origin(spans: tuple[Span, ...], states: pl.DataFrame) -> tuple[float, float]:
@@ -293,7 +264,7 @@ def _origin(spans: tuple[Span, ...], states: pl.DataFrame) -> tuple[float, float
 
 def _by_vehicle(states: pl.DataFrame, origin: tuple[float, float], config: Config) -> dict[str, Track]:
     tables = states.sort("vehicle_id", maintain_order=True).partition_by("vehicle_id", as_dict=True)
-    return {str(key[0]): _track(str(key[0]), table, origin, config) for key, table in tables.items()}
+    return {str(key[0]): make_track(str(key[0]), table, origin, config) for key, table in tables.items()}
 
 
 # --- boxes and points of the corridor frame --------------------------------------------------
@@ -319,8 +290,25 @@ def local_points(stage: Stage, table: pl.DataFrame, points_m: FloatArray) -> Flo
     return points
 
 
-def _extent(stage: Stage, span: Span) -> FloatArray:
-    """What a window's scene covers: x_min, x_max, y_min, y_max [m], with a margin."""
+# --- the ground of a window -------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Ground:
+    """The rectangle that a window's scene covers: centre and half sizes (2,) [m], turned by yaw_rad."""
+
+    centre_m: FloatArray
+    half_m: FloatArray
+    yaw_rad: float
+
+    def points(self, shares: ArrayLike, out_m: float = 0.0) -> FloatArray:
+        """Points (P, 2) at shares (P, 2) of the half sizes, each moved out by `out_m` more."""
+        across = np.asarray(shares, dtype=np.float64)
+        return rotate(across * (self.half_m + out_m), self.yaw_rad) + self.centre_m
+
+
+def _ground(stage: Stage, span: Span) -> Ground:
+    """What a window's scene covers, with a margin, along the axes of its corridor frame."""
     table = stage.result.corridors.filter(pl.col("window") == span.index)
     points = [np.empty((0, 2))]
     if table.height:
@@ -330,7 +318,19 @@ def _extent(stage: Stage, span: Span) -> FloatArray:
         tracks = stage.recorded.values()
         points += [track.within(span.start_ns, span.end_ns)[:, 1:3] for track in tracks]
     found = np.vstack(points)
+    yaw = span.frame.yaw_rad
     if not len(found):
-        return np.array([-20.0, 20.0, -20.0, 20.0])
-    low, high = found.min(axis=0) - _MARGIN_M, found.max(axis=0) + _MARGIN_M
-    return np.array([low[0], high[0], low[1], high[1]])
+        return Ground(np.zeros(2), np.full(2, 20.0), yaw)
+    own = rotate(found, -yaw)
+    low, high = own.min(axis=0) - _MARGIN_M, own.max(axis=0) + _MARGIN_M
+    return Ground(rotate((low + high) / 2.0, yaw), (high - low) / 2.0, yaw)
+
+
+def _metres_per_second(spans: tuple[Span, ...], grounds: dict[int, Ground]) -> float:
+    """A second's height that makes the middle window's tower 0.4 of the mean side of its ground."""
+    sides = [2.0 * float(np.sqrt(grounds[span.index].half_m.prod())) for span in spans]
+    shares = [_TOWER * side / span.duration_s for side, span in zip(sides, spans, strict=True)]
+    if not shares:
+        return 1.0
+    # Two digits: a scale that can be read.
+    return float(f"{np.median(shares):.1e}")

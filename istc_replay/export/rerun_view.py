@@ -7,33 +7,56 @@ again, since Rerun promises to read a file only in the version after the one tha
 from __future__ import annotations
 
 import hashlib
-import os
-import subprocess
-import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
 from pathlib import Path, PurePath
 
 import rerun as rr
+import rerun.blueprint as rrb
 from rerun.chunk import Chunk
 
-from istc_replay.config import ViewConfig, parse_config
+from istc_replay.config import ViewConfig
 from istc_replay.datatypes import Result
-from istc_replay.errors import ExportError
 from istc_replay.export.atomic import atomic_file
-from istc_replay.export.rerun_blueprint import blueprint
+from istc_replay.export.rerun_blueprint import CLOSE_UP, blueprint
+from istc_replay.export.rerun_cast import cast
 from istc_replay.export.rerun_chunks import label
-from istc_replay.export.rerun_clearance import clearances
+from istc_replay.export.rerun_clearance import Clearance, clearances
+from istc_replay.export.rerun_events import event_chunks
+from istc_replay.export.rerun_eyes import eye_chunks
+from istc_replay.export.rerun_findings import finding_chunks
 from istc_replay.export.rerun_now import now_chunks
 from istc_replay.export.rerun_plots import plot_chunks
+from istc_replay.export.rerun_report import report_chunks
 from istc_replay.export.rerun_space_time import space_time_chunks
-from istc_replay.export.rerun_stage import make_stage
-from istc_replay.export.rerun_text import event_chunks, report_chunks
-from istc_replay.ingest.result import load_result_folder
+from istc_replay.export.rerun_stage import Anchor, Stage, make_stage
+from istc_replay.export.rerun_vehicles import vehicle_chunks
 
 APPLICATION_ID = "istc-replay"
 
 
-def view_chunks(result: Result, config: ViewConfig) -> list[Chunk]:
-    """Lay a result out as chunks of a Rerun recording.
+def lay_out(
+    result: Result,
+    config: ViewConfig,
+    focus: Sequence[str] = (),
+    anchor: Anchor = Anchor(),  # noqa: B008
+) -> tuple[Stage, list[Clearance]]:
+    """Lay a result out for the view, and measure its clearances.
+
+    `focus` names whom to show in full; `anchor` is given where the result is a part of a larger one.
+
+    Raises
+    ------
+    ConfigError
+        If the result's configuration cannot be read by this version.
+    """
+    stage = make_stage(result, config, anchor)
+    found = clearances(stage)
+    return cast(stage, found, focus), found
+
+
+def view_chunks(result: Result, config: ViewConfig, focus: Sequence[str] = ()) -> list[Chunk]:
+    """The chunks of a Rerun recording of a result.
 
     Entities: `/space_time` corridors and trajectories in (x, y, t), `/now` the replay on the
     present plane, `/plots/<signal>/<source>/<vehicle>`, `/states`, `/precedence`, `/events`,
@@ -46,11 +69,17 @@ def view_chunks(result: Result, config: ViewConfig) -> list[Chunk]:
     ConfigError
         If the result's configuration cannot be read by this version.
     """
-    stage = make_stage(result, config)
-    found = clearances(stage)
+    return stage_chunks(*lay_out(result, config, focus))
+
+
+def stage_chunks(stage: Stage, found: list[Clearance]) -> list[Chunk]:
+    """The chunks of a result that is laid out."""
     return [
+        *eye_chunks(stage),
         *space_time_chunks(stage),
         *now_chunks(stage),
+        *vehicle_chunks(stage),
+        *finding_chunks(stage),
         *plot_chunks(stage, found),
         *event_chunks(stage, found),
         *report_chunks(stage, found),
@@ -63,7 +92,20 @@ def recording_id(result: Result) -> str:
     return hashlib.sha256(identity.encode()).hexdigest()[:32]
 
 
-def view_bytes(result: Result, config: ViewConfig) -> bytes:
+@dataclass(frozen=True, slots=True)
+class Opening:
+    """How a view opens: whom it shows in full, and on which tab of the view from above."""
+
+    focus: tuple[str, ...] = ()
+    close_up: bool = False
+
+    @property
+    def blueprint(self) -> rrb.Blueprint:
+        """The layout that opens so."""
+        return blueprint(above=CLOSE_UP if self.close_up else None)
+
+
+def view_bytes(result: Result, config: ViewConfig, opening: Opening = Opening()) -> bytes:
     """The view and its layout as the bytes of an .rrd file.
 
     Raises
@@ -71,18 +113,33 @@ def view_bytes(result: Result, config: ViewConfig) -> bytes:
     ConfigError
         If the result's configuration cannot be read by this version.
     """
-    recording = rr.RecordingStream(
-        APPLICATION_ID, recording_id=recording_id(result), make_default=False, send_properties=False
-    )
+    recording = new_recording(result)
     # Into memory, not to a file: Rerun's file writer fails without a word when the disk is full.
     memory = recording.memory_recording()
-    rr.send_blueprint(blueprint(), make_active=False, make_default=True, recording=recording)
-    rr.send_recording_name(label(PurePath(result.summary["input"]["path"]).name), recording=recording)
-    rr.send_chunks(view_chunks(result, config), recording=recording)
+    rr.send_blueprint(opening.blueprint, make_active=True, make_default=True, recording=recording)
+    send_result(result, config, opening.focus, recording)
     return bytes(memory.drain_as_bytes())
 
 
-def write_view(result: Result, config: ViewConfig, path: Path) -> None:
+def new_recording(result: Result, suffix: str = "") -> rr.RecordingStream:
+    """A recording of a result, not yet connected to anything."""
+    return rr.RecordingStream(
+        APPLICATION_ID,
+        recording_id=recording_id(result) + suffix,
+        make_default=False,
+        send_properties=False,
+    )
+
+
+def send_result(
+    result: Result, config: ViewConfig, focus: Sequence[str], recording: rr.RecordingStream
+) -> None:
+    """Send a result's name and its chunks to a recording."""
+    rr.send_recording_name(label(PurePath(result.summary["input"]["path"]).name), recording=recording)
+    rr.send_chunks(view_chunks(result, config, focus), recording=recording)
+
+
+def write_view(result: Result, config: ViewConfig, path: Path, opening: Opening = Opening()) -> None:
     """Write the view and its layout as an .rrd file, whole or not at all.
 
     Raises
@@ -92,73 +149,6 @@ def write_view(result: Result, config: ViewConfig, path: Path) -> None:
     ExportError
         If the file cannot be written.
     """
-    content = view_bytes(result, config)
+    content = view_bytes(result, config, opening)
     with atomic_file(path) as temporary:
         temporary.write_bytes(content)
-
-
-def save_view(source: Path, path: Path) -> None:
-    """Write the view of a result's folder or file as an .rrd file.
-
-    Raises
-    ------
-    LogError
-        If there is no readable result.
-    ExportError
-        If the file cannot be written.
-    """
-    result = load_result_folder(source)
-    write_view(result, parse_config(result.config_toml, f"{source}: config.toml").view, path)
-
-
-def show_view(source: Path) -> None:
-    """Make the view of a result's folder or file anew, beside it, and open it in Rerun's viewer.
-
-    Raises
-    ------
-    LogError
-        If there is no readable result.
-    ExportError
-        If the view cannot be written, or there is no screen to show it on.
-    """
-    folder = source if source.is_dir() else source.parent
-    _require_screen(folder / "view.rrd")
-    save_view(source, folder / "view.rrd")
-    show_native(folder / "view.rrd")
-
-
-def show_native(path: Path) -> int:
-    """Open an .rrd file in Rerun's own viewer, which listens on this machine alone.
-
-    Returns
-    -------
-    int
-        The viewer's process id; it goes on running.
-
-    Raises
-    ------
-    ExportError
-        If there is no screen, or the viewer does not start.
-    """
-    _require_screen(path)
-    command = [sys.executable, "-m", "rerun_cli", str(path), "--bind", "127.0.0.1", "--port", "auto"]
-    try:
-        process = subprocess.Popen(  # noqa: S603
-            [*command, "--memory-limit", "4GB", "--hide-welcome-screen"],
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.DEVNULL,
-            stderr=subprocess.DEVNULL,
-            start_new_session=True,
-        )
-    except OSError as error:
-        raise ExportError(f"{path}: Rerun's viewer does not start: {error}; use --save") from None
-    return process.pid
-
-
-def _require_screen(path: Path) -> None:
-    screens = ("DISPLAY", "WAYLAND_DISPLAY")
-    if sys.platform.startswith("linux") and not any(os.environ.get(name) for name in screens):
-        raise ExportError(
-            f"{path}: there is no screen to show it on; write it with --save VIEW.rrd "
-            "and open that on a machine with a screen: rerun VIEW.rrd"
-        )

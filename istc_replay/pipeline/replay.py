@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Sequence
 
     from istc_replay.datatypes import Log, Result, WindowOutcome
+    from istc_replay.pipeline.live import LiveView
     from istc_replay.safety.log_audit import Audit
 
 #: What `run_log` writes beside result.mcap and summary.json.
@@ -77,6 +78,7 @@ def replay_log(
     output: Path | None = None,
     progress: Callable[[str, int, int], None] = silent,
     stages: Stages | None = None,
+    live: LiveView | None = None,
 ) -> Replay:
     """Replay one log, in memory.
 
@@ -94,6 +96,8 @@ def replay_log(
         Told what is being done, the windows done and their number.
     stages : Stages, optional
         Collects the time of each stage.
+    live : LiveView, optional
+        Shows every window as soon as it is solved.
 
     Raises
     ------
@@ -114,7 +118,7 @@ def replay_log(
     progress("reading", 0, 1)
     with timing.stage("ingest"):
         log = read_log(path, settings)
-    done = replay_read(log, settings, jobs=jobs, output=output, progress=progress, stages=timing)
+    done = replay_read(log, settings, jobs=jobs, output=output, progress=progress, stages=timing, live=live)
     done.summary["totals"]["cpu_s"] = _cpu_s() - cpu_began
     return done
 
@@ -127,16 +131,24 @@ def replay_read(
     output: Path | None = None,
     progress: Callable[[str, int, int], None] = silent,
     stages: Stages | None = None,
+    live: LiveView | None = None,
 ) -> Replay:
     """Replay a log that has been read; arguments and errors as of `replay_log`."""
     from istc_replay.windows import settled_config
 
     timing = stages or Stages()
     work = None
+    settled = settled_config(log, config)
     if output is not None:
-        toml = render_config(settled_config(log, config))
+        toml = render_config(settled)
         work = WorkFolder(output, log.sha256, toml, versions())
-    outcomes = plan_windows(log, config, jobs=jobs, work=work, progress=progress)
+
+    def seen(outcome: WindowOutcome) -> None:
+        if live is not None:
+            with timing.stage("live_view"):
+                live.window(log, settled, outcome)
+
+    outcomes = plan_windows(log, config, jobs=jobs, work=work, progress=progress, seen=seen)
     progress("writing", len(outcomes), len(outcomes))
     done = assemble(log, config, outcomes, timing)
     if work is not None:
@@ -199,6 +211,7 @@ def run_log(
     config: Config,
     progress: Callable[[str, int, int], None] = silent,
     jobs: int = 1,
+    live: LiveView | None = None,
 ) -> Replay:
     """Replay one log and write result.mcap, view.rrd, report.html and summary.json to a folder.
 
@@ -211,10 +224,12 @@ def run_log(
 
     stages = Stages()
     prepare_folder(folder)
-    done = replay_log(path, config, jobs=jobs, output=folder, progress=progress, stages=stages)
+    done = replay_log(path, config, jobs=jobs, output=folder, progress=progress, stages=stages, live=live)
     windows = len(done.summary["windows"])
     progress("writing", windows, windows)
     write_run(done, folder, config, path.name, stages)
+    if live is not None:
+        live.finish(done.result, config)
     return done
 
 

@@ -36,6 +36,7 @@ def plan_windows(
     jobs: int = 1,
     work: WorkFolder | None = None,
     progress: Callable[[str, int, int], None] = silent,
+    seen: Callable[[WindowOutcome], None] = lambda _: None,
 ) -> list[WindowOutcome]:
     """Plan and certify windows of a log; each follows from its part of the log and the settings alone.
 
@@ -56,6 +57,8 @@ def plan_windows(
         Keeps every window that is done, and gives those that an earlier run has done.
     progress : callable
         Told what is being done, the windows done and their number.
+    seen : callable
+        Shown every window as soon as it is done.
 
     Raises
     ------
@@ -77,6 +80,8 @@ def plan_windows(
     def told(what: str) -> None:
         progress(what, len(found), len(wanted))
 
+    for outcome in found.values():
+        seen(outcome)
     told("corridors")
     left = len(wanted) - len(found)
     solved = _in_turn(parts, config, told) if min(jobs, left) <= 1 else _apart(parts, config, min(jobs, left))
@@ -84,6 +89,7 @@ def plan_windows(
         found[outcome.plan.scenario.window.index] = outcome
         if work is not None and len(wanted) > 1:
             work.save(outcome)
+        seen(outcome)
         told("corridors")
     return [found[index] for index in wanted]
 

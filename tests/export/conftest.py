@@ -56,7 +56,7 @@ def rrd(synthetic_result: Result, tmp_path_factory: pytest.TempPathFactory) -> P
     from istc_replay.export.rerun_view import write_view
 
     path = tmp_path_factory.mktemp("view") / "view.rrd"
-    write_view(synthetic_result, ViewConfig(), path)
+    write_view(synthetic_result, ViewConfig(metres_per_second=2.0), path)
     return path
 
 
@@ -75,7 +75,7 @@ def view_of(
     """Give the rows by entity of a result's view."""
     from istc_replay.export.rerun_view import view_chunks
 
-    return lambda result: rows_by_entity(view_chunks(result, ViewConfig()))
+    return lambda result: rows_by_entity(view_chunks(result, ViewConfig(metres_per_second=2.0)))
 
 
 def _renamed(result: Result, new_names: dict[str, str]) -> Result:

@@ -20,10 +20,21 @@ def test_numbered_vehicles_take_colours_in_the_order_of_their_numbers() -> None:
     assert list(vehicle_colours(["10", "2", "1"])) == ["1", "2", "10"]
 
 
-def test_more_vehicles_begin_the_palette_again() -> None:
-    colours = vehicle_colours(str(i) for i in range(3 * len(PALETTE)))
-    assert set(colours.values()) == set(PALETTE)
-    assert colours["0"] == colours[str(len(PALETTE))]
+def test_a_vehicle_keeps_its_colour_whoever_else_is_there() -> None:
+    fleet = [f"truck {i}" for i in range(40)] + ["<b>", "", "\ud800", "7" * 40]
+    together = vehicle_colours(fleet)
+    assert all(vehicle_colours([vehicle])[vehicle] == together[vehicle] for vehicle in fleet)
+
+
+def test_beyond_the_palette_come_other_shades() -> None:
+    colours = vehicle_colours(str(i) for i in range(1, 3 * len(PALETTE) + 1))
+    assert len(set(colours.values())) == 3 * len(PALETTE)
+    assert colours["1"] == PALETTE[0] != colours["7"]
+
+
+def test_names_with_numbers_differ_from_their_neighbours() -> None:
+    colours = vehicle_colours(f"truck {i}" for i in range(1, len(PALETTE) + 1))
+    assert len(set(colours.values())) == len(PALETTE)
 
 
 def test_colours_differ_for_eyes_without_red_or_green_receptors() -> None:

@@ -21,14 +21,7 @@ from istc_replay.datatypes import LaneLine, Result, StaticScene, read_only
 from istc_replay.errors import ExportError
 from istc_replay.export import rerun_view
 from istc_replay.export.rerun_chunks import CHUNK_BYTES, CHUNK_ROWS, entity, label
-from istc_replay.export.rerun_view import (
-    recording_id,
-    save_view,
-    show_native,
-    show_view,
-    view_chunks,
-    write_view,
-)
+from istc_replay.export.rerun_view import recording_id, view_chunks, write_view
 from istc_replay.states import RESULT_STATES_SCHEMA, conform
 
 S = 1_000_000_000
@@ -69,7 +62,7 @@ def test_reruns_own_check_finds_the_file_whole(rrd: Path) -> None:
 
 
 def test_the_layout_asks_for_whole_subtrees_that_exist(
-    rrd: Path, synthetic_result: Result, rows_by_entity: ByEntity, view_of: View
+    rrd: Path, synthetic_result: Result, rows_by_entity: ByEntity
 ) -> None:
     reader = RrdReader(rrd)
     (layout,) = reader.blueprints()
@@ -77,7 +70,10 @@ def test_the_layout_asks_for_whole_subtrees_that_exist(
     queries = [q for own in rows.values() for row in own for q in row.get("ViewContents:query") or []]
     assert len(queries) > 20
     states = synthetic_result.states.with_columns(pl.col("acceleration_mps2").fill_null(0.0))
-    entities = view_of(replace(synthetic_result, states=states))
+    full = replace(synthetic_result, states=states)
+    # Where not everybody is shown in full, the rest is quiet.
+    chunks = [c for focus in ((), ("car 1",)) for c in view_chunks(full, ViewConfig(), focus)]
+    entities = {chunk.entity_path for chunk in chunks}
     for query in queries:
         assert query.startswith("/")
         assert query.endswith("/**")
@@ -169,16 +165,6 @@ def test_a_missing_folder_is_told_in_one_line(synthetic_result: Result, tmp_path
     assert "\n" not in str(caught.value)
 
 
-def test_a_saved_result_gives_the_same_view(
-    synthetic_bytes: bytes, synthetic_result: Result, tmp_path: Path
-) -> None:
-    (tmp_path / "result.mcap").write_bytes(synthetic_bytes)
-    save_view(tmp_path, tmp_path / "saved.rrd")
-    saved = RrdReader(tmp_path / "saved.rrd").stream().to_chunks()
-    expected = view_chunks(synthetic_result, ViewConfig())
-    assert sum(chunk.num_rows for chunk in saved) == sum(chunk.num_rows for chunk in expected) + 1  # the name
-
-
 # --- untrusted names -------------------------------------------------------------------------
 
 NASTY = {
@@ -239,42 +225,3 @@ def test_the_file_of_nasty_names_is_whole(synthetic_result: Result, tmp_path: Pa
 def test_different_names_stay_different() -> None:
     long = ["x" * 10_000, "x" * 9_999, "a\nb", "a\tb", "", "\n", "a\N{REPLACEMENT CHARACTER}b", "\ud800"]
     assert len({label(name) for name in long}) == len(long)
-
-
-# --- the viewer ------------------------------------------------------------------------------
-
-
-def test_without_a_screen_the_way_out_is_told(
-    synthetic_bytes: bytes, rrd: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(sys, "platform", "linux")
-    monkeypatch.delenv("DISPLAY", raising=False)
-    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
-    with pytest.raises(ExportError, match="--save"):
-        show_native(rrd)
-    (tmp_path / "result.mcap").write_bytes(synthetic_bytes)
-    with pytest.raises(ExportError, match="--save"):
-        show_view(tmp_path)
-    assert not (tmp_path / "view.rrd").exists()
-
-
-def test_the_viewer_listens_on_this_machine_alone(
-    synthetic_bytes: bytes, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    commands: list[list[str]] = []
-
-    class Started:
-        pid = 1
-
-        def __init__(self, command: list[str], **_: Any) -> None:
-            commands.append(command)
-
-    monkeypatch.setenv("DISPLAY", ":0")
-    monkeypatch.setattr(subprocess, "Popen", Started)
-    (tmp_path / "result.mcap").write_bytes(synthetic_bytes)
-    show_view(tmp_path / "result.mcap")
-    (command,) = commands
-    assert command[command.index("--bind") + 1] == "127.0.0.1"
-    assert str(tmp_path / "view.rrd") in command
-    assert "--memory-limit" in command
-    assert (tmp_path / "view.rrd").stat().st_size > 0

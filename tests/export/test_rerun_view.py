@@ -63,7 +63,8 @@ def test_every_state_is_a_box_at_its_time_and_place(
     np.testing.assert_allclose(np.cos(turns), 1.0, atol=1e-6)
     assert not x.any()
     assert not y.any()
-    np.testing.assert_allclose([row["Boxes3D:half_sizes"][0][:2] for row in rows], [[2.0, 1.0]] * len(rows))
+    (style,) = holding(entities[entity("now", source, "box", vehicle)], "Boxes3D:half_sizes")
+    np.testing.assert_allclose(style["Boxes3D:half_sizes"][0][:2], [2.0, 1.0])
 
 
 def test_the_three_timelines_agree(synthetic_result: Result, entities: dict[str, Rows]) -> None:

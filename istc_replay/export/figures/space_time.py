@@ -36,6 +36,7 @@ from istc_replay.export.figures.tracks import CorridorShape, Track, WindowScene
 PANELS = 9
 _COLUMNS = 3
 _ELEVATION_DEG = 24.0
+_METRES_PER_SECOND = 2.0
 #: Corners of a prism's six faces: 0 to 3 its foot, 4 to 7 its top.
 _FACES = np.array(
     [[0, 1, 2, 3], [4, 5, 6, 7], [0, 1, 5, 4], [1, 2, 6, 5], [2, 3, 7, 6], [3, 0, 4, 7]], dtype=np.intp
@@ -170,9 +171,8 @@ def _space_time_axes(
     padding = np.maximum(0.35 * (high - low).max() - (high - low), 1.0) / 2.0
     low, high = low - padding, high + padding
     size = high - low
-    height_m = float(
-        np.clip(scene.duration_s * scene.config.view.metres_per_second, 0.7 * size.max(), size.max())
-    )
+    scale = scene.config.view.metres_per_second or _METRES_PER_SECOND
+    height_m = float(np.clip(scene.duration_s * scale, 0.7 * size.max(), size.max()))
     axes: Any = figure.add_axes((0.0, 0.0, 1.0, 1.0), projection=Axes3D.name, computed_zorder=False)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(0.0, scene.duration_s))
     axes.set_box_aspect((*size, height_m))

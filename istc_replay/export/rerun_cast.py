@@ -1,0 +1,60 @@
+"""Who is shown in full: with many vehicles, those that matter.
+
+A scene of up to twelve vehicles is shown whole. Of more, the vehicles that one asks for are shown
+in full, or else the twelve with the worst findings and the least clearances: window by window in
+the scenes, over the whole result in the plots. All the others keep their boxes and their paths;
+their names, corridors, trails and plots wait under `quiet`, one click away.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+
+import numpy as np
+import polars as pl
+
+from istc_replay.export.rerun_clearance import Clearance
+from istc_replay.export.rerun_stage import Span, Stage
+
+#: So many vehicles are shown in full.
+LEADING = 12
+SEVERITIES = ("critical", "serious", "minor")
+
+
+def cast(stage: Stage, found: list[Clearance], focus: Iterable[str] = ()) -> Stage:
+    """The stage with its leading vehicles; `focus` names them, where it is not empty."""
+    asked = frozenset(focus)
+    findings = stage.result.findings
+    leading, follows = {}, {}
+    for span in stage.spans:
+        during = (pl.col("start_ns") <= span.end_ns) & (pl.col("end_ns") >= span.start_ns)
+        own = [clearance for clearance in found if clearance.window == span.index]
+        order = _ranked(_present(stage, span), findings.filter(during), own)
+        leading[span.index] = asked or frozenset(order[:LEADING])
+        closest = min(own, key=lambda c: (c.least_m, c.pair), default=None)
+        follows[span.index] = tuple(sorted(asked)) or (closest.pair if closest else ())
+    order = _ranked(stage.vehicle_ids, findings, found)
+    return replace(stage, starring=asked or frozenset(order[:LEADING]), leading=leading, follows=follows)
+
+
+def _present(stage: Stage, span: Span) -> list[str]:
+    present = {vehicle for window, vehicle in stage.planned if window == span.index}
+    for vehicle_id, track in stage.recorded.items():
+        if track.times_ns[0] <= span.end_ns and track.ends_ns[-1] >= span.start_ns:
+            present.add(vehicle_id)
+    return sorted(present)
+
+
+def _ranked(vehicle_ids: list[str], findings: pl.DataFrame, found: list[Clearance]) -> list[str]:
+    """Vehicles by the severity of their worst finding, then by their least clearance."""
+    worst: dict[str, int] = {}
+    for severity, vehicles in findings.select("severity", "vehicles").iter_rows():
+        rank = SEVERITIES.index(severity) if severity in SEVERITIES else len(SEVERITIES)
+        for vehicle_id in vehicles or []:
+            worst[vehicle_id] = min(rank, worst.get(vehicle_id, rank))
+    least: dict[str, float] = {}
+    for clearance in found:
+        for vehicle_id in clearance.pair:
+            least[vehicle_id] = min(clearance.least_m, least.get(vehicle_id, np.inf))
+    return sorted(vehicle_ids, key=lambda v: (worst.get(v, 9), least.get(v, np.inf), v))
