@@ -5,16 +5,20 @@ from __future__ import annotations
 import importlib.util
 import os
 import sys
+import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 
+from istc_replay.errors import LogError
 from istc_replay.fleet.cell import Limits
 from istc_replay.fleet.drive import Fleet, Orders
 from istc_replay.fleet.engine import LocalEngine
 from istc_replay.fleet.inputs import find_logs
+from istc_replay.fleet.manifest import read_manifest
 from istc_replay.fleet.telling import Summary
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -82,3 +86,13 @@ def outputs(folder: Path) -> dict[str, bytes]:
         for file in files
         if file.suffix in (".mcap", ".parquet")
     }
+
+
+def wait_for(folder: Path, ended: int) -> None:
+    """Wait until so many logs of a fleet have ended."""
+    for _ in range(3000):
+        with suppress(LogError):
+            if len(read_manifest(folder).ended_now) >= ended:
+                return
+        time.sleep(0.1)
+    raise TimeoutError(f"{folder}: {ended} logs did not end in time")
