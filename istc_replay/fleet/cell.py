@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import os
+import re
 import select
 import signal
 import subprocess
@@ -24,6 +25,8 @@ JOBS_A_PROCESS = 50
 _START_S = 120.0
 _ANSWER_LIMIT = 1 << 20
 _MIB = 1 << 20
+#: What of a dead process's last lines tells why.
+_LAST_WORDS = re.compile(r"Fatal Python error:|terminate called|memory allocation|\w*(Error|Exception)\b")
 
 
 @dataclass(frozen=True, slots=True)
@@ -150,14 +153,15 @@ class Cell:
     def _end(self, outcome: Outcome) -> Outcome:
         self.job = None
         self._done += 1
-        if outcome.status == "lost":
+        if outcome.status in ("lost", "unstarted"):
             self._kill()
         return outcome
 
     def _lost(self, reason: str) -> Outcome:
         seconds = round(time.monotonic() - self._began, 3)
+        status = "lost" if self._ready else "unstarted"
         return Outcome(
-            "lost", reason, 4, seconds=seconds, peak_mb=round(self._peak_mb, 1), worker=this_process()
+            status, reason, 4, seconds=seconds, peak_mb=round(self._peak_mb, 1), worker=this_process()
         )
 
     def _death(self) -> str:
@@ -175,9 +179,7 @@ class Cell:
         self._errors.seek(max(0, self._errors.tell() - 20_000))
         lines = self._errors.read().decode("utf-8", "replace").splitlines()
         for line in reversed(lines):
-            if line.startswith(
-                ("Fatal Python error:", "terminate called", "MemoryError", "memory allocation")
-            ):
+            if _LAST_WORDS.match(line):
                 return "".join(c for c in line if c.isprintable())[:200]
         return ""
 

@@ -24,6 +24,8 @@ from istc_replay.pipeline.replay import RUN_OUTPUTS
 
 #: Files hashed at once where an earlier call is checked.
 _CHECKERS = 4
+#: Workers that die one after the other before they take a job, until the fleet stops.
+_STARTS = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -64,6 +66,7 @@ class Fleet:
     _tries: dict[tuple[str, tuple[int, int] | None], int] = field(default_factory=dict)
     _cuts: Cuts = field(default_factory=Cuts)
     _ready: deque[Job] = field(default_factory=deque)
+    _unstarted: int = 0
 
     def stop(self, reason: str) -> None:
         """Stop soon; jobs under way are given up, to be done by the next call."""
@@ -203,6 +206,9 @@ class Fleet:
         job, outcome = ended.job, ended.outcome
         if outcome.status == "stop":
             return self.stop(outcome.error)
+        if outcome.status == "unstarted":
+            return self._not_started(job, outcome)
+        self._unstarted = 0
         if self._cuts.given_up(job):
             return None
         if outcome.status == "long":
@@ -225,6 +231,13 @@ class Fleet:
         outcome = self._cuts.log_ended(job, outcome)
         manifest.append(self._entry(job, outcome, status, error, tries))
         return log.ended(status, job.location, error, outcome.seconds)
+
+    def _not_started(self, job: Job, outcome: Outcome) -> None:
+        """Try again where a worker did not start, which is no log's fault; not for ever."""
+        self._unstarted += 1
+        self._ready.append(job)
+        if self._unstarted >= _STARTS:
+            self.stop(f"no worker starts: {outcome.error}; mend that, then call again")
 
     def _judged(self, job: Job, outcome: Outcome) -> tuple[str, str]:
         """The status and the error to enter; outputs that are not here do not count."""

@@ -6,6 +6,7 @@ import errno
 import os
 import resource
 import shutil
+import tempfile
 import time
 from collections.abc import Mapping
 from contextlib import suppress
@@ -14,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 from istc_replay.config import Config, parse_config, render_config
 from istc_replay.errors import ConfigError, ExportError, IstcReplayError, LogError
+from istc_replay.export.atomic import refused
 from istc_replay.fleet.inputs import is_url, local_file, sha256_of, stamp_of
 from istc_replay.fleet.jobs import Job, Outcome, config_sha256, products_key, version
 from istc_replay.fleet.manifest import this_process
@@ -25,6 +27,7 @@ if TYPE_CHECKING:
 
 #: Errors of writing that no other log would be spared: the fleet stops.
 _STOPS = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG)
+_FULL_BYTES = 64 << 10
 _LINE_CHARACTERS = 500
 
 
@@ -45,7 +48,7 @@ def do_job(job: Job, content: bytes | None = None) -> Outcome:
     try:
         found = _do(job, content)
     except (IstcReplayError, OSError, MemoryError, Exception) as error:
-        found = _failure(error)
+        found = _failure(error, job)
     return Outcome(
         **{
             **found,
@@ -192,13 +195,29 @@ def _lacks(done: Replay) -> str:
     return _line("; ".join(reasons) or "not every window is certified")
 
 
-def _failure(error: BaseException) -> dict[str, Any]:
+def _place(error: OSError) -> Path:
+    return Path(os.fsdecode(error.filename) if error.filename is not None else tempfile.gettempdir())
+
+
+def _is_full(folder: str) -> bool:
+    """Tell whether a disk is so full that a solver's files, or a result, may have failed for it."""
+    try:
+        return shutil.disk_usage(folder).free < _FULL_BYTES
+    except OSError:
+        return False
+
+
+def _failure(error: BaseException, job: Job) -> dict[str, Any]:
     # An ExportError is raised from the OSError that it tells of.
     cause: BaseException | None = error
     while cause is not None and not isinstance(cause, OSError):
         cause = cause.__context__
     if cause is not None and cause.errno in _STOPS:
-        return {"status": "stop", "error": _line(str(error)), "code": 2}
+        told = str(error) if isinstance(error, IstcReplayError) else str(refused(_place(cause), cause))
+        return {"status": "stop", "error": _line(told), "code": 2}
+    if full := [place for place in (job.fleet, tempfile.gettempdir()) if _is_full(place)]:
+        told = f"{full[0]}: the disk is full; free some space, then call again"
+        return {"status": "stop", "error": _line(told), "code": 2}
     if isinstance(error, IstcReplayError):
         return {"status": "failed", "error": _line(str(error)), "code": error.exit_code}
     if isinstance(error, MemoryError):

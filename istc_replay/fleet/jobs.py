@@ -56,8 +56,8 @@ class Outcome:
 
     `status` is done, inconclusive (there are outputs; what they lack is in `error`), failed (there
     are none), lost (its worker died), away (the worker cannot see the log), long (the log has
-    `windows`, to be done apart), part (its windows are planned) or stop (no log can be done, as on
-    a full disk).
+    `windows`, to be done apart), part (its windows are planned), unstarted (its worker died before
+    it could take the job) or stop (no log can be done, as on a full disk).
     """
 
     status: str

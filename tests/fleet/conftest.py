@@ -53,12 +53,12 @@ def four_logs(fleet_logs: ModuleType, tmp_path_factory: pytest.TempPathFactory) 
 
 @pytest.fixture(scope="session")
 def run_fleet() -> RunFleet:
-    """Do logs in a folder with two processes, result and tables alone; options are those of `Orders`."""
+    """Do logs in a folder with one process, result and tables alone; options are those of `Orders`."""
 
     def run(
         output: Path,
         *logs: Path,
-        jobs: int = 2,
+        jobs: int = 1,
         limits: Limits = Limits(4000.0, 60.0),  # noqa: B008
         **orders: object,
     ) -> Summary:

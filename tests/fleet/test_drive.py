@@ -220,3 +220,16 @@ def test_the_status_tells_of_a_fleet_that_was_killed(done: Path, tmp_path: Path)
     facts = fleet_status(tmp_path)
     assert (facts["state"], facts["left"], facts["counts"]["done"]) == ("killed", 1, 3)
     assert "call the fleet again" in next(status_lines(facts))
+
+
+def test_workers_that_do_not_start_stop_the_fleet_and_blame_no_log(
+    run_fleet: RunFleet, four_logs: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    broken = tmp_path / "broken" / "istc_replay"
+    broken.mkdir(parents=True)
+    (broken / "__init__.py").write_text("raise ImportError('it is broken')")
+    monkeypatch.setenv("PYTHONPATH", str(broken.parent))
+    summary = run_fleet(tmp_path / "fleet", four_logs)
+    assert "no worker starts" in summary.stopped
+    assert "ImportError: it is broken" in summary.stopped
+    assert summary.counts == {"done": 0, "inconclusive": 0, "failed": 0}
