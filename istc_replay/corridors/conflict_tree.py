@@ -9,20 +9,21 @@ the best child down, so that a solution is found after about as many nodes as th
 Then it is searched best first, which proves the solution or ends at a better one. A child whose
 violation alone makes it dear stays unsolved until its turn comes.
 
-*Neighbourhoods.* Where that does not end soon, one vehicle, then pairs, give up their options and
-choose anew.
+*Neighbourhoods.* Where that does not end soon, one to three vehicles that meet are planned anew, while
+all others stay where they are.
 """
 
 from __future__ import annotations
 
 import heapq
 from dataclasses import dataclass, field
-from itertools import combinations, count
+from itertools import count
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from istc_replay.corridors.pivot_qp import Choice, Choices, PivotQp, PivotSolution
+from istc_replay.corridors.polish import polish
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -36,12 +37,17 @@ CONFLICT_M = 1e-6
 _BETTER = 1e-4
 #: Cost of a metre of overlap that is left, in the order in which children are followed.
 _OVERLAP_COST = 1.0
+#: Least cubes of vehicles that meet are nearer than this at some time [m].
+_NEAR_M = 1.0
 #: What a second way out is worth where there is none [m].
 _NO_WAY_OUT_M = 100.0
-#: Shares of the budget for a first solution and for the search best first, before neighbourhoods are
-#: searched, and nodes of each.
+#: Shares of the budget for a first solution and for the search best first, which costs too much to be
+#: worth it where more vehicles are planned together.
 _FIRST_SHARE, _TREE_SHARE = 0.25, 0.6
+_TOGETHER = 8
+#: Nodes of a neighbourhood by its size; sweeps over all of them, while one gains this share.
 _NEIGHBOURHOOD_NODES = {1: 60, 2: 120}
+_SWEEPS, _WORTH_A_SWEEP = 4, 0.005
 
 #: Numbers of vehicles.
 Group = frozenset[int]
@@ -110,22 +116,120 @@ def search(problem: CorridorProblem, node_budget: int, proof_budget: int = 0) ->
             break
         groups = merged
     trees = [solved[group] for group in groups]
+    exhausted = all(tree.exhausted for tree in trees)
+    z = problem.least_cubes(z)
+    if not exhausted:
+        z, more = improve(problem, z, node_budget - nodes)
+        nodes += more
     return TreeOutcome(
-        problem.least_cubes(z),
+        z,
         nodes,
-        all(tree.exhausted for tree in trees),
+        exhausted,
         sum(tree.bound for tree in trees),
         None,
         tuple(_names(problem, group) for group in groups),
     )
 
 
-def refine(problem: CorridorProblem, choices: Choices, node_budget: int) -> FloatArray | None:
-    """Improve on given options by neighbourhoods; z with least cubes, None where they hold no more."""
-    qp = PivotQp(problem)
-    tree = _Tree(problem, qp, frozenset(range(len(problem.blocks))), node_budget, choices)
-    tree.run_below_guess()
-    return None if tree.best is None else problem.least_cubes(qp.z(tree.best))
+def improve(problem: CorridorProblem, z: FloatArray, node_budget: int) -> tuple[FloatArray, int]:
+    """Plan few vehicles anew beside all others, costliest first, until none gives a better solution.
+
+    Parameters
+    ----------
+    problem : CorridorProblem
+        The window's problem.
+    z : (n,) array
+        A solution.
+    node_budget : int
+        Largest number of QPs.
+
+    Returns
+    -------
+    tuple
+        A solution with least cubes, no worse, and the number of QPs.
+    """
+    qp, nodes = PivotQp(problem), 0
+    for _ in range(_SWEEPS):
+        before = problem.reference_cost(z)
+        for size in _NEIGHBOURHOOD_NODES:
+            z, more = _sweep(problem, qp, z, size, node_budget - nodes)
+            nodes += more
+        settled = polish(problem, problem.separations.best(z))
+        if settled is not None and problem.reference_cost(settled) < problem.reference_cost(z):
+            z = problem.least_cubes(settled)
+        if nodes >= node_budget or problem.reference_cost(z) > (1.0 - _WORTH_A_SWEEP) * before:
+            break
+    return z, nodes
+
+
+def _sweep(
+    problem: CorridorProblem, qp: PivotQp, z: FloatArray, size: int, node_budget: int
+) -> tuple[FloatArray, int]:
+    """Neighbourhoods of one size."""
+    tried: set[Group] = set()
+    nodes, limit = 0, _NEIGHBOURHOOD_NODES[size]
+    while nodes < node_budget:
+        costs = _costs(problem, z)
+        part = _costliest_part(problem, z, costs, size, tried)
+        if part is None:
+            break
+        moving = _moving(part, costs, _meetings(problem, z))
+        kept = _kept(problem, z, part, moving)
+        view = qp.beside(z, tuple(sorted(moving)))
+        most = sum(costs[v] for v in moving) * (1.0 - _BETTER)
+        tree = _Tree(problem, view, moving, limit, kept, beside=True, most=most)
+        tree.search_below_guess()
+        nodes += tree.nodes
+        if tree.best is not None:
+            z = problem.least_cubes(view.z(tree.best))
+            tried = {other for other in tried if not other & part}
+        tried.add(part)
+    return z, nodes
+
+
+def _costs(problem: CorridorProblem, z: FloatArray) -> list[float]:
+    """Eq. (3) of each vehicle."""
+    away = problem.quadratic * (z - problem.reference) ** 2
+    return [float(away[block.pivot[1:]].sum()) for block in problem.blocks]
+
+
+def _meetings(problem: CorridorProblem, z: FloatArray) -> set[tuple[int, int]]:
+    """Pairs of vehicles whose least cubes are near each other at some time."""
+    table = problem.separations
+    near = ~table.obstacle & (table.slack(z).max(axis=1, initial=-np.inf) < _NEAR_M)
+    return set(zip(table.first[near].tolist(), table.second[near].tolist(), strict=True))
+
+
+def _costliest_part(
+    problem: CorridorProblem, z: FloatArray, costs: list[float], size: int, tried: set[Group]
+) -> Group | None:
+    """The costliest vehicle, or two that meet, that were not tried yet."""
+    parts = {frozenset([v]) for v in range(len(costs)) if costs[v] > _BETTER}
+    if size > 1:
+        parts = {frozenset(pair) for pair in _meetings(problem, z)}
+    left = sorted(parts - tried, key=sorted)
+    return max(left, key=lambda part: sum(costs[v] for v in part), default=None)
+
+
+def _moving(part: Group, costs: list[float], meetings: set[tuple[int, int]]) -> Group:
+    """The part and whom it meets, and whom they meet, the costliest first, as many as can be afforded."""
+    moving = set(part)
+    for _ in range(2):
+        met = {w for pair in meetings if moving & set(pair) for w in pair} - moving
+        moving |= set(sorted(met, key=lambda v: (-costs[v], v))[: _TOGETHER - len(moving)])
+    return frozenset(moving)
+
+
+def _kept(problem: CorridorProblem, z: FloatArray, part: Group, moving: Group) -> Choices:
+    """Options that those keep who move but do not choose anew."""
+    table = problem.separations
+    slack = table.slack(z)
+    others = tuple(moving - part)
+    first, second = np.isin(table.first, others), np.isin(table.second, others) & ~table.obstacle
+    theirs = (first | second) & ~np.isin(table.first, tuple(part))
+    theirs &= table.obstacle | ~np.isin(table.second, tuple(part))
+    theirs &= slack.max(axis=1, initial=-np.inf) < _NEAR_M
+    return tuple((int(d), int(slack[d].argmax())) for d in np.flatnonzero(theirs))
 
 
 def prove(problem: CorridorProblem, choices: Choices, node_budget: int) -> TreeOutcome:
@@ -187,6 +291,8 @@ class _Tree:
     bound: float = 0.0
     open_conflict: int | None = None
     earliest_first: bool = False
+    beside: bool = False  # all others are held where they are
+    most: float = np.inf  # what a solution must cost less than
     _queue: list[_Open] | None = None
     _order: count[int] = field(default_factory=lambda: count(1))
     _members: tuple[int, ...] = field(init=False)
@@ -196,9 +302,10 @@ class _Tree:
     def __post_init__(self) -> None:
         table = self.problem.separations
         self._members = tuple(sorted(self.group))
-        mine = np.isin(table.first, self._members)
-        mine &= table.obstacle | np.isin(table.second, self._members)
-        self._own = np.flatnonzero(mine)
+        first = np.isin(table.first, self._members)
+        second = np.isin(table.second, self._members) & ~table.obstacle
+        # Those who are held stay in the way.
+        self._own = np.flatnonzero(first | second if self.beside else first & (table.obstacle | second))
         self._table = table.taken(self._own)
 
     def run(self) -> None:
@@ -214,20 +321,24 @@ class _Tree:
             self.exhausted = self.plunge((), self.budget, first_only=True)
             self.earliest_first = False
         if self.best is not None:
-            self.prove(min(round(_TREE_SHARE * self.budget), self.budget - self.nodes))
-            if not self.exhausted:
-                self._improve()
+            affordable = _TREE_SHARE * self.budget if len(self.group) <= _TOGETHER else 0.0
+            self.prove(min(round(affordable), self.budget - self.nodes))
 
-    def run_below_guess(self) -> None:
-        """Search below the guess alone, then its neighbourhoods."""
-        self.plunge(self.guess, round(_FIRST_SHARE * self.budget), first_only=True)
-        if self.best is not None:
-            self._improve()
+    def search_below_guess(self) -> None:
+        """Search below the guess alone, best first and then by plunging."""
+        queue = self._begun(self.guess)
+        self._best_first(queue, self.nodes + self.budget // 2)
+        if self.best is None and queue:
+            self._plunge(queue, self.nodes + self.budget // 2, first_only=False)
 
     def prove(self, limit: int) -> None:
         """Search the tree best first for `limit` more nodes; called again it goes on."""
-        end = self.nodes + limit
         queue = self._begun(())
+        self._best_first(queue, self.nodes + limit)
+        self.exhausted = not queue or queue[0].bound >= self.cutoff
+        self.bound = self.cutoff if self.exhausted else queue[0].bound
+
+    def _best_first(self, queue: list[_Open], end: int) -> None:
         while queue and queue[0].bound < self.cutoff and self.nodes < end:
             node = heapq.heappop(queue)
             if node.choice is not None:
@@ -243,8 +354,6 @@ class _Tree:
             for bound, choice in self._priced(node.solution, conflict, slack[conflict]):
                 if bound < self.cutoff:
                     self._push(queue, bound, node.solution, choice)
-        self.exhausted = not queue or queue[0].bound >= self.cutoff
-        self.bound = self.cutoff if self.exhausted else queue[0].bound
 
     def _begun(self, root: Choices) -> list[_Open]:
         """The open nodes below `root`: itself, or none where it has no solution; of the tree as it stands."""
@@ -263,15 +372,16 @@ class _Tree:
     @property
     def cutoff(self) -> float:
         """Cost that a node must stay below to be worth anything."""
-        return np.inf if self.best is None else self.best.cost * (1.0 - _BETTER)
+        return self.most if self.best is None else min(self.most, self.best.cost * (1.0 - _BETTER))
 
     def plunge(self, root: Choices, limit: int, *, first_only: bool = False) -> bool:
         """Search below `root` for `limit` nodes; with `first_only` the first solution ends it.
 
         Returns whether nothing below `root` is left to search.
         """
-        end = min(self.budget, self.nodes + limit)
-        queue = self._begun(root)
+        return self._plunge(self._begun(root), min(self.budget, self.nodes + limit), first_only=first_only)
+
+    def _plunge(self, queue: list[_Open], end: int, *, first_only: bool) -> bool:
         while queue and queue[0].bound < self.cutoff:
             if self.nodes >= end or (first_only and self.best is not None):
                 return False
@@ -344,39 +454,6 @@ class _Tree:
         self.nodes += 1
         child = self.qp.with_option(node, choice, self.cutoff)
         return None if child is None or child.cost >= self.cutoff else child
-
-    def _improve(self) -> None:
-        """Neighbourhoods of the best solution, costliest first, until none gives a better one."""
-        for size, nodes in _NEIGHBOURHOOD_NODES.items():
-            tried: set[Group] = set()
-            while self.nodes < self.budget:
-                part = self._costliest_part(size, tried)
-                if part is None or self.best is None:
-                    break
-                before = self.best
-                for self.earliest_first in (False, True):
-                    kept = tuple(c for c in self.best.choices if not self._concerns(c[0], part))
-                    self.plunge(kept, nodes)
-                if self.best is not before:
-                    tried = {other for other in tried if not other & part}
-                tried.add(part)
-
-    def _costliest_part(self, size: int, tried: set[Group]) -> Group | None:
-        if self.best is None:
-            return None
-        z, problem, costs = self.qp.z(self.best), self.problem, {}
-        for vehicle in self._members:
-            index = problem.blocks[vehicle].pivot[1:].ravel()
-            away = z[index] - problem.reference[index]
-            costs[vehicle] = float(problem.quadratic[index] @ away**2)
-        parts = [part for part in combinations(costs, size) if frozenset(part) not in tried]
-        return max(map(frozenset, parts), key=lambda part: sum(costs[v] for v in part), default=None)
-
-    def _concerns(self, separation: int, part: Group) -> bool:
-        table = self.problem.separations
-        if int(table.first[separation]) in part:
-            return True
-        return not table.obstacle[separation] and int(table.second[separation]) in part
 
     def _slack(self, node: PivotSolution) -> FloatArray:
         """How far the options of the group's separations hold (D, 4)."""

@@ -169,12 +169,11 @@ def follow(
         polished = polish(problem, choice)
         found = [polished]
         # Other choices are worth a search only where the frames made a difference.
-        if polished is None or problem.objective(polished) < search.objective - _MUCH * abs(search.objective):
-            refined = conflict_tree.refine(
-                problem, tuple(enumerate(choice.tolist())), config.tree_node_budget // 8
-            )
-            if refined is not None:
-                found.append(polish(problem, problem.separations.best(refined)))
+        much = _MUCH * abs(search.objective)
+        if polished is not None and problem.objective(polished) < search.objective - much:
+            least = problem.least_cubes(polished)
+            refined, _ = conflict_tree.improve(problem, least, config.tree_node_budget // 4)
+            found.append(polish(problem, problem.separations.best(refined)))
         best = min((z for z in found if z is not None), key=problem.objective, default=None)
         better = best is not None and problem.objective(best) < search.objective - _WORTH * abs(
             search.objective

@@ -6,6 +6,7 @@ the vehicles that it ties, and keeps the others' parts of the solution.
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -88,6 +89,7 @@ class PivotQp:
         pivots = problem.pivot_indices
         sizes = [2 * block.units for block in problem.blocks]
         self._start = np.concatenate([[0], np.cumsum(sizes)])
+        self._vehicle = np.repeat(np.arange(len(sizes)), sizes)
         self._pivots = pivots
         self._column = np.full(problem.size + 1, CONSTANT, dtype=np.int64)
         self._column[pivots] = np.arange(len(pivots))
@@ -96,6 +98,17 @@ class PivotQp:
         self._own = self._own_rows()
         self._matrices: dict[tuple[int, ...], _Matrix] = {}
         self._options: dict[Choice, _Option] = {}
+        self._held = np.zeros(len(problem.blocks), dtype=bool)
+        self._around = np.zeros(problem.size)
+
+    def beside(self, z: FloatArray, free: tuple[int, ...]) -> PivotQp:
+        """The same QP for some vehicles alone, with all others where z has them."""
+        other = copy(self)
+        other._options = {}
+        other._held = ~np.isin(np.arange(len(self._held)), free)
+        other._around = np.array(z)
+        other._around[self._pivots[self._columns(free)]] = 0.0
+        return other
 
     def _own_rows(self) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
         """Rows of the pivotal points alone, by vehicle: scaled matrix, lower and upper bounds."""
@@ -118,8 +131,8 @@ class PivotQp:
         return found
 
     def z(self, solution: PivotSolution) -> FloatArray:
-        """The solution's pivotal points in z; vehicles without a part, and walls, are 0."""
-        z = np.zeros(self._problem.size)
+        """The solution's pivotal points in z; what is not part of it is 0, or as held."""
+        z = np.array(self._around)
         for part in solution.parts:
             at = self._columns(part.members)
             z[self._pivots[at]] = self._reference[at] + part.y / self._root[at]
@@ -135,8 +148,9 @@ class PivotQp:
         compliance = 0.0
         for wall in walls:
             if wall != CONSTANT:
-                points = self._problem.witness[wall]
-                compliance += max(0.0 if p == CONSTANT else 1.0 / float(q[p]) for p in points)
+                columns = [(p, self._column[p]) for p in self._problem.witness[wall].tolist()]
+                free = [p for p, c in columns if c != CONSTANT and not self._held[self._vehicle[c]]]
+                compliance += max((1.0 / float(q[p]) for p in free), default=0.0)
         return 1.0 / compliance if compliance > 0.0 else np.inf
 
     def root(self, members: tuple[int, ...], choices: Choices, limit: float = np.inf) -> PivotSolution | None:
@@ -169,8 +183,9 @@ class PivotQp:
 
     def _concerned(self, separation: int) -> tuple[int, ...]:
         table = self._problem.separations
-        first = int(table.first[separation])
-        return (first,) if table.obstacle[separation] else (first, int(table.second[separation]))
+        both = (int(table.first[separation]), int(table.second[separation]))
+        named = both[:1] if table.obstacle[separation] else both
+        return tuple(vehicle for vehicle in named if not self._held[vehicle])
 
     def _columns(self, members: tuple[int, ...]) -> IntArray:
         return np.concatenate([np.arange(self._start[v], self._start[v + 1]) for v in members])
@@ -283,5 +298,13 @@ class PivotQp:
         """The two points that a wall must hold: column and offset."""
         if wall == CONSTANT:
             return [(CONSTANT, 0.0)]
-        points = zip(self._problem.witness[wall], self._problem.witness_offset_m[wall], strict=True)
-        return [(int(self._column[index]), float(offset)) for index, offset in points]
+        found = []
+        for index, offset in zip(
+            self._problem.witness[wall].tolist(), self._problem.witness_offset_m[wall].tolist(), strict=True
+        ):
+            column = int(self._column[index])
+            if column != CONSTANT and self._held[self._vehicle[column]]:
+                found.append((CONSTANT, offset + float(self._around[index])))
+            else:
+                found.append((column, offset))
+        return found
