@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -381,3 +384,32 @@ def synthetic_result(synthetic_bytes: bytes) -> Result:
     from istc_replay.ingest.result import read_result
 
     return read_result(synthetic_bytes)
+
+
+def _renamed(result: Result, new_names: dict[str, str]) -> Result:
+
+    def rename(value: Any) -> Any:
+        if isinstance(value, str):
+            return new_names.get(value, value)
+        if isinstance(value, list):
+            return [rename(part) for part in value]
+        if isinstance(value, dict):
+            return {key: rename(part) for key, part in value.items()}
+        return value
+
+    ids = pl.col("vehicle_id").replace(new_names)
+    vehicles = pl.col("vehicles").list.eval(pl.element().replace(new_names))
+    return replace(
+        result,
+        states=result.states.with_columns(ids),
+        corridors=result.corridors.with_columns(ids),
+        solves=result.solves.with_columns(ids),
+        certificates=result.certificates.with_columns(vehicles),
+        summary=rename(result.summary),
+    )
+
+
+@pytest.fixture(scope="session")
+def renamed() -> Callable[[Result, dict[str, str]], Result]:
+    """Give the same result of vehicles by other names, in its tables and in its summary."""
+    return _renamed

@@ -78,34 +78,10 @@ def view_of(
     return lambda result: rows_by_entity(view_chunks(result, ViewConfig(metres_per_second=2.0)))
 
 
-def _renamed(result: Result, new_names: dict[str, str]) -> Result:
-    """The same result of vehicles by other names, in its tables and in its summary."""
-
-    def rename(value: Any) -> Any:
-        if isinstance(value, str):
-            return new_names.get(value, value)
-        if isinstance(value, list):
-            return [rename(part) for part in value]
-        if isinstance(value, dict):
-            return {key: rename(part) for key, part in value.items()}
-        return value
-
-    ids = pl.col("vehicle_id").replace(new_names)
-    vehicles = pl.col("vehicles").list.eval(pl.element().replace(new_names))
-    return replace(
-        result,
-        states=result.states.with_columns(ids),
-        corridors=result.corridors.with_columns(ids),
-        solves=result.solves.with_columns(ids),
-        certificates=result.certificates.with_columns(vehicles),
-        summary=rename(result.summary),
-    )
-
-
 @pytest.fixture(scope="session")
-def hostile_result(synthetic_result: Result) -> Result:
+def hostile_result(synthetic_result: Result, renamed: Callable[[Result, dict[str, str]], Result]) -> Result:
     """A result whose every string is hostile: ids, paths, reasons, versions, settings."""
-    hostile = _renamed(synthetic_result, NASTY)
+    hostile = renamed(synthetic_result, NASTY)
     left = {"vehicle_id": NASTY["car 2"] + "7", "reason": "<i>why</i>", "detail": NASTY["car 2"]}
     problem = {"code": "<u>code</u>", "detail": NASTY["car 1"], "offset": 12}
     first, *others = hostile.summary["windows"]

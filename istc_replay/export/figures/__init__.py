@@ -7,6 +7,8 @@ bytes every time.
 from __future__ import annotations
 
 import io
+from collections.abc import Callable, Collection
+from functools import partial
 from math import ceil
 from typing import Any, Literal
 
@@ -21,9 +23,11 @@ from istc_replay.export.figures.space_time import PANELS, draw_all_corridors, dr
 from istc_replay.export.figures.style import drawing_style
 from istc_replay.export.figures.tracks import WindowScene, window_scene
 
-__all__ = ["Format", "WindowScene", "draw_figures", "draw_scene", "figure_bytes", "window_scene"]
+__all__ = ["KINDS", "Format", "WindowScene", "draw_figures", "draw_scene", "figure_bytes", "window_scene"]
 
 Format = Literal["svg", "png", "pdf"]
+#: The kinds of pictures, in the order in which a report shows them.
+KINDS = ("corridors", "own_corridors", "top_down", "filmstrip", "speed_acceleration", "separation")
 
 #: Planned boxes are measured this often: their knots are too far apart.
 _PLANNED_STEP_S = 0.02
@@ -36,8 +40,8 @@ _METADATA: dict[str, dict[str, Any]] = {
 }
 
 
-def draw_figures(result: Result, window: int) -> dict[str, Figure]:
-    """Draw all pictures of one window.
+def draw_figures(result: Result, window: int, only: Collection[str] = KINDS) -> dict[str, Figure]:
+    """Draw pictures of one window.
 
     Parameters
     ----------
@@ -45,43 +49,52 @@ def draw_figures(result: Result, window: int) -> dict[str, Figure]:
         A result as read back.
     window : int
         Index of the window.
+    only : collection of str
+        The kinds to draw; all of them otherwise.
 
     Returns
     -------
     dict
-        Figures by name: corridors, own_corridors, top_down, filmstrip, speed_acceleration,
-        separation; of many vehicles own_corridors_2, speed_acceleration_2 and so on. A window
-        without a plan has only those that show the recording; one without recorded vehicles none.
+        Figures by name: the kinds `KINDS`; of many vehicles also own_corridors_2,
+        speed_acceleration_2 and so on. A window without a plan has only those that show the
+        recording; one without recorded vehicles none.
 
     Raises
     ------
     UsageError
         If the result has no such window.
     """
-    return draw_scene(window_scene(result, window))
+    return draw_scene(window_scene(result, window), only)
 
 
-def draw_scene(scene: WindowScene, most_pages: int | None = None) -> dict[str, Figure]:
-    """Draw the pictures of a gathered window, with at most `most_pages` pages of each kind."""
-    figures: dict[str, Figure] = {}
+def draw_scene(
+    scene: WindowScene, only: Collection[str] = KINDS, most_pages: int | None = None
+) -> dict[str, Figure]:
+    """Draw pictures of a gathered window, with at most `most_pages` pages of each kind."""
     as_recorded, as_planned = scene.compared
-    recorded, planned = closest_pair(as_recorded), closest_pair(as_planned, _PLANNED_STEP_S)
+    recorded, planned = closest_pair(as_recorded), None
+    if "separation" in only:
+        planned = closest_pair(as_planned, _PLANNED_STEP_S)
+    drawn: dict[str, list[Callable[[], Figure]]] = {}
+    if scene.corridors:
+        drawn["corridors"] = [lambda: draw_all_corridors(scene)]
+        pages = ceil(len(scene.corridors) / PANELS)
+        drawn["own_corridors"] = [partial(draw_own_corridors, scene, page) for page in range(pages)]
+    if scene.recorded or scene.planned:
+        drawn["top_down"] = [lambda: draw_top_down(scene, recorded)]
+        pages = speed_pages(scene)
+        drawn["speed_acceleration"] = [partial(draw_speed_acceleration, scene, page) for page in range(pages)]
+    if recorded is not None:
+        drawn["filmstrip"] = [partial(draw_filmstrip, scene, recorded)]
+    if recorded is not None or planned is not None:
+        drawn["separation"] = [lambda: draw_separation(scene, recorded, planned)]
     with drawing_style():
-        if scene.corridors:
-            figures["corridors"] = draw_all_corridors(scene)
-            pages = ceil(len(scene.corridors) / PANELS)
-            for page in range(pages if most_pages is None else min(pages, most_pages)):
-                figures[_page("own_corridors", page)] = draw_own_corridors(scene, page)
-        if scene.recorded or scene.planned:
-            figures["top_down"] = draw_top_down(scene, recorded)
-            pages = speed_pages(scene)
-            for page in range(pages if most_pages is None else min(pages, most_pages)):
-                figures[_page("speed_acceleration", page)] = draw_speed_acceleration(scene, page)
-        if recorded is not None:
-            figures["filmstrip"] = draw_filmstrip(scene, recorded)
-        if recorded is not None or planned is not None:
-            figures["separation"] = draw_separation(scene, recorded, planned)
-    return figures
+        return {
+            _page(kind, page): draw()
+            for kind, draws in drawn.items()
+            if kind in only
+            for page, draw in enumerate(draws[:most_pages])
+        }
 
 
 def _page(name: str, page: int) -> str:

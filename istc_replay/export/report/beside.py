@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 from istc_replay.comparison.difference import Change, Comparison, PairChange, VehicleChange, WindowChange
@@ -68,7 +68,6 @@ def comparison_html(comparison: Comparison, a: Result, b: Result, titles: tuple[
     str
         An HTML document that loads nothing and runs nothing; the same for the same results.
     """
-    pictures = _pictures(comparison, a, b)
     body = [
         element("h1", "A beside B"),
         element(
@@ -78,6 +77,14 @@ def comparison_html(comparison: Comparison, a: Result, b: Result, titles: tuple[
         ),
         _side("A", titles[0], a),
         _side("B", titles[1], b),
+        differences(comparison, _pictures(comparison, a, b)),
+    ]
+    return page(f"{titles[0]} beside {titles[1]}", body)
+
+
+def differences(comparison: Comparison, pictures: Mapping[int, Html]) -> Html:
+    """All that differs, as tables, with the pictures of windows."""
+    sections = [
         _changes("Input", "What of the log differs", comparison.inputs),
         _changes("Settings", "Settings that differ", comparison.settings),
         _changes("Versions", "Versions that differ", comparison.versions),
@@ -85,7 +92,7 @@ def comparison_html(comparison: Comparison, a: Result, b: Result, titles: tuple[
         _only(comparison),
         [_window(window, pictures.get(window.index)) for window in comparison.windows],
     ]
-    return page(f"{titles[0]} beside {titles[1]}", body)
+    return join(sections)
 
 
 def _side(letter: str, title: str, result: Result) -> Html:

@@ -15,7 +15,7 @@ _TITLE_CHARACTERS = 240
 _TEXT_CHARACTERS = 600
 #: Up to this length a name is never broken.
 _WORD_CHARACTERS = 24
-_VOID = frozenset({"meta", "br", "input"})
+_VOID = frozenset({"meta", "br", "img", "input"})
 
 NOTHING = "–"
 

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import re
 
-from istc_replay.export.figures import WindowScene, draw_scene, figure_bytes
+from istc_replay.export.figures import KINDS, WindowScene, draw_scene, figure_bytes
+from istc_replay.export.figures.profiles import speed_pages
 from istc_replay.export.figures.space_time import PANELS
 from istc_replay.export.report.markup import Html, captioned, element, join, names, number
 from istc_replay.export.report.page import THEME
@@ -44,7 +45,6 @@ _RECORDED_CAPTIONS = {
     "separation": "Gap between the two closest boxes of all that was recorded, at the instants of the "
     "recording. Below zero they overlap; gaps far above the least are cut off.",
 }
-_ORDER = ("corridors", "own_corridors", "top_down", "filmstrip", "speed_acceleration", "separation")
 
 
 def window_pictures(scene: WindowScene) -> Html:
@@ -52,7 +52,7 @@ def window_pictures(scene: WindowScene) -> Html:
     figures = draw_scene(scene, most_pages=1)
     index = scene.window["index"]
     shown = []
-    for picture in _ORDER:
+    for picture in KINDS:
         if picture in figures:
             caption = _caption(picture, scene)
             svg = inline_svg(
@@ -114,6 +114,8 @@ def _caption(picture: str, scene: WindowScene) -> Html:
         limits = scene.config.trajectories
         low, high = number(-limits.deceleration_max_mps2, 1), number(limits.acceleration_max_mps2, 1)
         text = f"{text} The plan's acceleration is limited to {low} to {high} m/s²."
+    if picture == "speed_acceleration" and speed_pages(scene) > 1:
+        text += " Some vehicles are shown; istc-replay figures draws all."
     left_out = list(scene.corridors)[PANELS:]
     if picture == "own_corridors" and left_out:
         return join([text, " Not shown here: ", names(left_out), "; istc-replay figures draws all."])
