@@ -54,7 +54,7 @@ def against_plan(result: Result, config: Config) -> pl.DataFrame:
     tracks, rows = recorded_tracks(result.states), []
     with np.errstate(all="ignore"):
         for plan in written_plans(result):
-            case = build_case(plan, tracks, result.scene.bounds, config) if plan.plans else None
+            case = build_case(plan, tracks, result.scene, config) if plan.plans else None
             if case is None:
                 continue
             for row, name in enumerate(case.driven):

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from istc_replay.config import Config
-from istc_replay.datatypes import Certificate, FloatArray, MapBounds, Verdict
+from istc_replay.datatypes import Certificate, FloatArray, MapBounds, StaticScene, Verdict
 from istc_replay.safety.motion import Motion, integrate
 from istc_replay.safety.plan import Boxes, IntArray, WrittenPlan
 from istc_replay.safety.recorded import Track
@@ -33,7 +33,7 @@ class Case:
     plan: WrittenPlan
     config: Config
     tracks: Mapping[str, Track]
-    bounds: MapBounds | None
+    scene: StaticScene
     edges_ns: IntArray
     walled: tuple[str, ...]
     walls_m: FloatArray
@@ -42,6 +42,11 @@ class Case:
     driven: tuple[str, ...]
     walled_row: IntArray
     motion: Motion
+
+    @property
+    def bounds(self) -> MapBounds | None:
+        """The map's bounds."""
+        return self.scene.bounds
 
     @property
     def unwalled(self) -> tuple[str, ...]:
@@ -65,7 +70,7 @@ class Case:
 
 
 def build_case(
-    plan: WrittenPlan, tracks: Mapping[str, Track], bounds: MapBounds | None, config: Config
+    plan: WrittenPlan, tracks: Mapping[str, Track], scene: StaticScene, config: Config
 ) -> Case | None:
     """Cut a written plan into pieces and integrate it; None where it is too large to judge."""
     times = [cubes.spans_ns.ravel() for cubes in plan.cubes.values()]
@@ -88,7 +93,7 @@ def build_case(
         plan=plan,
         config=config,
         tracks=tracks,
-        bounds=bounds,
+        scene=scene,
         edges_ns=edges,
         walled=walled,
         walls_m=walls,

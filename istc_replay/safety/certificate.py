@@ -5,6 +5,7 @@
 | complete | every vehicle with a corridor has a trajectory over all of its time units |
 | cubes_disjoint | cubes of two vehicles keep the promised gap, eq. (5) |
 | obstacles_clear | cubes keep the promised gap from obstacles, eq. (6) |
+| obstacles_known | the scene's obstacles, and road users as recorded, are among those kept clear of |
 | in_bounds | nothing leaves the map |
 | cubes_overlap | at a switch of units the box lies in both cubes, eq. (11) |
 | start | the plan starts where the vehicle was recorded, eq. (8) |
@@ -24,7 +25,7 @@ from collections.abc import Iterable, Mapping
 import numpy as np
 
 from istc_replay.config import Config
-from istc_replay.datatypes import Certificate, MapBounds, Result, Verdict
+from istc_replay.datatypes import Certificate, Result, StaticScene, Verdict
 from istc_replay.safety.case import build_case, listing
 from istc_replay.safety.cube_checks import cubes_disjoint, cubes_overlap, in_bounds, obstacles_clear
 from istc_replay.safety.motion_checks import (
@@ -35,12 +36,14 @@ from istc_replay.safety.motion_checks import (
     separation,
     start,
 )
+from istc_replay.safety.obstacle_check import obstacles_known
 from istc_replay.safety.plan import WrittenPlan, written_plans
 from istc_replay.safety.recorded import Track, recorded_tracks
 
 _CHECKS = {
     "cubes_disjoint": cubes_disjoint,
     "obstacles_clear": obstacles_clear,
+    "obstacles_known": obstacles_known,
     "in_bounds": in_bounds,
     "cubes_overlap": cubes_overlap,
     "start": start,
@@ -70,11 +73,11 @@ def certify(result: Result, config: Config) -> tuple[Certificate, ...]:
     tuple of Certificate
         One a check and window; none for a window that has no plan.
     """
-    tracks = recorded_tracks(result.states)
+    tracks = recorded_tracks(result.states, vehicles_only=False)
     certificates: list[Certificate] = []
     with np.errstate(all="ignore"):  # NaN and infinity are judged, not warned of
         for plan in written_plans(result):
-            certificates += _window_certificates(plan, tracks, result.scene.bounds, config)
+            certificates += _window_certificates(plan, tracks, result.scene, config)
     return tuple(certificates)
 
 
@@ -88,9 +91,9 @@ def overall(certificates: Iterable[Certificate]) -> Verdict:
 
 
 def _window_certificates(
-    plan: WrittenPlan, tracks: Mapping[str, Track], bounds: MapBounds | None, config: Config
+    plan: WrittenPlan, tracks: Mapping[str, Track], scene: StaticScene, config: Config
 ) -> list[Certificate]:
-    case = build_case(plan, tracks, bounds, config)
+    case = build_case(plan, tracks, scene, config)
     if case is None:
         detail = "not judged: the plan has too many pieces of time"
         checks = [

@@ -31,6 +31,8 @@ _FRAME = ["frame_x_m", "frame_y_m", "frame_yaw_rad"]
 _STATES = ["x_m", "y_m", "heading_rad", "steering_rad", "speed_mps", "acceleration_mps2"]
 _CONTROLS = ["steering_rate_radps", "jerk_mps3"]
 _DIMENSIONS = ["length_m", "width_m", "wheelbase_m", "rear_axle_to_centre_m"]
+#: Why vehicles that are not planned are obstacles.
+_AS_RECORDED = ("not_a_vehicle", "uncooperative", "parked")
 #: Window statuses that say that no plan was made.
 _WITHOUT_PLAN = ("no_corridors", "not_drivable", "nothing_to_plan")
 
@@ -73,6 +75,8 @@ class VehiclePlan:
 class WrittenPlan:
     """What one window's plan says: sound cubes and trajectories by vehicle, obstacles, faults.
 
+    `as_recorded` names the road users that should be among the obstacles.
+
     The gaps are those that it promises [m], None where it is silent.
     """
 
@@ -81,6 +85,7 @@ class WrittenPlan:
     end_ns: int
     frame: Frame
     vehicles: tuple[str, ...]
+    as_recorded: tuple[str, ...] = ()
     vehicle_gap_m: float | None = None
     obstacle_gap_m: float | None = None
     cubes: dict[str, Boxes] = field(default_factory=dict)
@@ -117,6 +122,13 @@ def written_plans(result: Result) -> Iterator[WrittenPlan]:
             )
 
 
+def _as_recorded(entry: dict[str, Any]) -> tuple[str, ...]:
+    """Road users that the plan has to keep clear of as they were recorded."""
+    left_out = [*_dicts(entry.get("exclusions")), *_dicts(entry.get("frozen"))]
+    kept = [e for e in left_out if e.get("reason") in _AS_RECORDED or e in _dicts(entry.get("frozen"))]
+    return tuple(sorted({str(e.get("vehicle_id")) for e in kept}))
+
+
 def _gap(value: object) -> float | None:
     """A promised gap [m]; one that is negative or no number promises nothing."""
     if isinstance(value, int | float) and not isinstance(value, bool) and 0.0 <= value < np.inf:
@@ -138,6 +150,7 @@ def _written_plan(
         end_ns=_integer(entry.get("end_ns"), last_ns),
         frame=frame,
         vehicles=tuple(sorted({*cube_rows, *state_rows, *listed})),
+        as_recorded=_as_recorded(entry),
         vehicle_gap_m=_gap(entry.get("vehicle_gap_m")),
         obstacle_gap_m=_gap(entry.get("obstacle_gap_m")),
     )

@@ -69,11 +69,11 @@ class Track:
         return float(np.max(speeds, where=np.isfinite(speeds), initial=0.0))
 
 
-def recorded_tracks(states: pl.DataFrame) -> dict[str, Track]:
-    """Tracks by vehicle, of a states table of a log or of a result; pedestrians and others left out."""
+def recorded_tracks(states: pl.DataFrame, *, vehicles_only: bool = True) -> dict[str, Track]:
+    """Tracks by name, of a states table of a log or of a result; others than vehicles only if wanted."""
     if "source" in states.columns:
         states = states.filter(pl.col("source") == "recorded")
-    if "role" in states.columns:
+    if vehicles_only and "role" in states.columns:
         states = states.filter(pl.col("role").is_null() | (pl.col("role") == "vehicle"))
     finite = pl.col("x_m").is_finite() & pl.col("y_m").is_finite() & pl.col("vehicle_id").is_not_null()
     states = states.filter(finite, pl.col("time_ns").is_not_null())

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import xml.etree.ElementTree as ET
 from dataclasses import replace
 from pathlib import Path
@@ -17,10 +18,12 @@ from istc_replay.datatypes import Log, StaticScene
 from istc_replay.errors import ExportError
 from istc_replay.export.audit import (
     audit_exit_code,
+    audit_html,
     audit_junit,
     audit_markdown,
     audit_schema,
     audit_summary,
+    audit_xqar,
     write_audit,
 )
 from istc_replay.safety.log_audit import Audit, audit_log
@@ -175,3 +178,72 @@ def test_files_are_written_and_repeat_byte_for_byte(tmp_path: Path) -> None:
     assert pl.read_parquet(files[0]).equals(audit.findings)
     with pytest.raises(ExportError, match="html, md, json"):
         write_audit(audit, tmp_path, ["pdf"], version="1")  # type: ignore[list-item]
+
+
+def identifiers(html: str) -> list[str]:
+    return re.findall(r' id="([^"]*)"', html)
+
+
+def test_the_html_report_shows_every_serious_encounter_and_repeats() -> None:
+    audit = crash()
+    text = audit_html(audit)
+    assert text == audit_html(crash())
+    assert text.startswith("<!DOCTYPE html>")
+    assert "<script" not in text
+    assert not re.search(r'(?:src|href)="(?:https?:)?//', text)
+    assert len(identifiers(text)) == len(set(identifiers(text)))
+    severe = audit.encounters.filter(pl.col("severity").is_in(["serious", "critical"]))
+    assert text.count('<section class="window"') == severe.height == 1
+    assert text.count("<svg") == 1 + severe.height  # the timeline, and a picture each
+    for heading in ("Timeline", "Serious encounters", "Coverage", "Thresholds"):
+        assert f"<h2>{heading}</h2>" in text
+    assert "✗ Findings: " in text
+    assert "Nothing was found in what was judged" in audit_html(calm())
+    assert "Data quality" in audit_html(doubtful())
+
+
+def test_names_of_a_log_are_text_in_the_html_report() -> None:
+    evil = '"><script>alert(1)</script>&\u202e'
+    text = audit_html(crash(evil, "b"))
+    assert "<script" not in text
+    assert "\u202e" not in text
+    assert "&lt;script&gt;" in text
+
+
+def test_the_report_leads_to_clips_and_to_the_view_of_a_result() -> None:
+    audit = crash()
+    encounter = audit.encounters["encounter_id"][0]
+    text = audit_html(audit, {encounter: Path("clips/a b.mcap")})
+    assert 'href="clips/a%20b.mcap"' in text
+    assert "view/index.html" not in text  # a log has no view
+    viewed = audit_html(replace(audit, of_result=True))
+    finding = audit.findings.filter(pl.col("encounter_id") == encounter).row(0, named=True)
+    assert f'href="view/index.html#time_ns={finding["worst_ns"]}"' in viewed
+    assert f"istc-replay view RESULT --finding {finding['finding_id']}" in viewed
+
+
+@pytest.mark.parametrize("made", [calm, crash, doubtful])
+def test_the_reference_library_reads_the_xqar_file(made: Any, tmp_path: Path) -> None:
+    qc = pytest.importorskip("qc_baselib")
+    audit = made()
+    path = tmp_path / "audit.xqar"
+    path.write_bytes(audit_xqar(audit, "1.2"))
+    read = qc.Result()
+    read.load_from_file(str(path))
+    (bundle,) = read.get_checker_bundle_names()
+    assert read.get_checker_ids(bundle) == [f"istc_{rule}" for rule in RULE_NAMES]
+    found = 0
+    for rule in RULE_NAMES:
+        issues = read.get_issues(bundle, f"istc_{rule}")
+        rows = audit.findings.filter(pl.col("rule") == rule)
+        assert len(issues) == rows.height
+        found += len(issues)
+        assert {issue.rule_uid for issue in issues} <= {f"istc.replay:audit:1.0.0:{rule}"}
+        told = {(place.message_location[0].channel, place.message_location[0].index)
+                for issue in issues for place in issue.locations}  # fmt: skip
+        assert told == set(rows.select("topic", "message_index").rows())
+        levels = {"critical": 1, "serious": 1, "minor": 2, None: 3}
+        doubt = rows["verdict"] == "inconclusive"
+        expected = [3 if d else levels[s] for d, s in zip(doubt, rows["severity"], strict=True)]
+        assert sorted(int(issue.level) for issue in issues) == sorted(expected)
+    assert found == audit.findings.height

@@ -3,17 +3,38 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import polars as pl
 import pytest
 
+import istc_replay
 from istc_replay.comparison.compare import compare_results
 from istc_replay.datatypes import Result
+from istc_replay.export.audit import audit_html
 from istc_replay.export.report import report_html
 from istc_replay.export.report.beside import comparison_html
+from istc_replay.safety.log_audit import Audit
 
 DESKTOP, PHONE = {"width": 1280, "height": 900}, {"width": 390, "height": 844}
+
+
+def collision(result: Result) -> Audit:
+    """The audit of a result in which two vehicles drive into each other as recorded."""
+    recorded = pl.col("source") == "recorded"
+    first, second = sorted(result.states.filter(recorded)["vehicle_id"].unique())[:2]
+    one, two = (recorded & (pl.col("vehicle_id") == name) for name in (first, second))
+    way = (pl.col("time_ns") - pl.col("time_ns").min()) / 1e9 * 8.0 - 20.0
+    driven = {"x_m": (way, 0.0), "y_m": (0.0, way), "heading_rad": (0.0, 1.57), "speed_mps": (8.0, 8.0)}
+    states = result.states.with_columns(
+        pl.when(one).then(a).when(two).then(b).otherwise(pl.col(name)).alias(name)
+        for name, (a, b) in driven.items()
+    )
+    audit = istc_replay.audit(replace(result, states=states))
+    assert "critical" in set(audit.encounters["severity"])
+    return audit
 
 
 @pytest.fixture(scope="module")
@@ -30,6 +51,7 @@ def pages(
     other = moved_result(hostile_result)
     titles = ("<script>document.title = 'run'</script>", '"><img src=x onerror=alert(1)>')
     texts["beside"] = comparison_html(compare_results(hostile_result, other), hostile_result, other, titles)
+    texts["audit"] = audit_html(collision(hostile_result), {"<b>": Path("<i>.mcap")})
     for name, text in texts.items():
         (folder / f"{name}.html").write_text(text, encoding="utf-8")
     return {name: folder / f"{name}.html" for name in texts}
@@ -52,7 +74,7 @@ def opened(browser: Any, pages: dict[str, Path]) -> Callable[..., Any]:
     return open_page
 
 
-@pytest.mark.parametrize("name", ["report", "hostile", "beside"])
+@pytest.mark.parametrize("name", ["report", "hostile", "beside", "audit"])
 @pytest.mark.parametrize(
     ("viewport", "scheme"), [(DESKTOP, "light"), (PHONE, "dark")], ids=["desktop-light", "phone-dark"]
 )
@@ -72,7 +94,7 @@ def test_axe_finds_no_serious_violation(
     assert grave == []
 
 
-@pytest.mark.parametrize("name", ["report", "hostile", "beside"])
+@pytest.mark.parametrize("name", ["report", "hostile", "beside", "audit"])
 def test_a_page_asks_for_nothing_and_runs_nothing(
     opened: Callable[..., Any], pages: dict[str, Path], name: str
 ) -> None:
@@ -83,7 +105,7 @@ def test_a_page_asks_for_nothing_and_runs_nothing(
     assert page.evaluate("document.scripts.length + document.images.length") == 0
 
 
-@pytest.mark.parametrize("name", ["report", "hostile", "beside"])
+@pytest.mark.parametrize("name", ["report", "hostile", "beside", "audit"])
 def test_a_page_fits_a_phone_and_a_sheet_of_paper(opened: Callable[..., Any], name: str) -> None:
     phone = opened(name, viewport=PHONE)
     assert phone.evaluate("document.documentElement.scrollWidth") <= PHONE["width"]

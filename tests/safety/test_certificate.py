@@ -14,7 +14,9 @@ from hypothesis import strategies as st
 
 from istc_replay.config import Config, parse_config
 from istc_replay.datatypes import Certificate, Frame, MapBounds, Result, Verdict
+from istc_replay.safety.boxes import box_gap
 from istc_replay.safety.certificate import certify, overall
+from istc_replay.safety.walls import wall_margin
 
 NS = 1_000_000_000
 CONFIG = Config()
@@ -80,6 +82,8 @@ def good(scene: Any) -> Result:
 
 def test_a_good_plan_passes_every_check(good: Result) -> None:
     checks = judge(good)
+    # The scene itself has no obstacle that the plan could have left out.
+    assert checks.pop("obstacles_known").verdict == NOT_APPLICABLE
     assert {check.verdict for check in checks.values()} == {PASS}
     assert overall(checks.values()) == PASS
     assert checks["dynamics"].margin == pytest.approx(0.05, abs=1e-7)
@@ -90,7 +94,8 @@ def test_a_good_plan_passes_every_check(good: Result) -> None:
 def test_a_single_vehicle_has_no_pair_and_no_obstacle(kit: SimpleNamespace) -> None:
     checks = judge(kit.Scene([kit.straight_car("a", 0, 0, 0.3, 5.0, 10)]).result())
     absent = {name for name, check in checks.items() if check.verdict == NOT_APPLICABLE}
-    assert absent == {"cubes_disjoint", "separation", "obstacles_clear", "obstacle_separation", "in_bounds"}
+    pairs = {"cubes_disjoint", "separation"}
+    assert absent == pairs | {"obstacles_clear", "obstacles_known", "obstacle_separation", "in_bounds"}
     assert overall(checks.values()) == PASS
 
 
@@ -169,6 +174,67 @@ def test_a_cube_moved_into_anothers_is_found(good: Result) -> None:
     assert (check.verdict, check.time_s, check.vehicles) == (FAIL, 3.0, ("a", "b"))
     assert check.margin is not None
     assert check.margin < 0.0
+
+
+@pytest.mark.parametrize("moved_m", [0.05, -0.05])
+def test_a_cube_moved_by_five_centimetres_is_found(kit: SimpleNamespace, moved_m: float) -> None:
+    # Cubes exactly the promised gap apart, each with 2 cm to spare about its box.
+    rng = np.random.default_rng(4)
+    cars = kit.stacked([kit.random_car(rng, name, 20) for name in "abc"], pad=0.02)
+    result = kit.Scene(cars, pad=0.02).result()
+    assert overall(judge(result).values()) == PASS
+    y = {name: pl.col(name) + moved_m for name in ("y_min_m", "y_max_m")}
+    checks = judge(edited(result, "corridors", cube("b", 2), **y))
+    found = failed(checks)
+    assert "in_corridor" in found
+    for name in found:
+        margin, time_s = checks[name].margin, checks[name].time_s
+        assert "b" in checks[name].vehicles
+        assert margin is not None
+        assert -0.05 - 1e-6 <= margin < 0.0
+        assert time_s is not None
+        assert 2.0 <= time_s <= 3.0
+
+
+@pytest.mark.slow
+def test_a_thousand_random_good_plans_raise_no_false_alarm(kit: SimpleNamespace) -> None:
+    for seed in range(1000):
+        rng = np.random.default_rng(50_000 + seed)
+        unit_s, dt = [(1.0, 0.2), (0.5, 0.25), (0.25, 0.125), (1.0, 0.1)][seed % 4]
+        cars = [
+            kit.random_car(rng, f"v{i}", int(rng.integers(1, 6)) * round(unit_s / dt), dt)
+            for i in range(rng.integers(2, 5))
+        ]
+        frame = Frame(*rng.uniform(-1, 1, 2) * [7e5, 6e6], rng.uniform(-np.pi, np.pi))
+        scene = kit.Scene(kit.stacked(cars, pad=5e-5), unit_s=unit_s, frame=frame, pad=5e-5)
+        checks = judge(scene.result())
+        assert overall(checks.values()) == PASS, (seed, checks)
+
+
+@pytest.mark.parametrize("seeds", [range(30), pytest.param(range(1000), marks=pytest.mark.slow)])
+def test_what_passes_is_never_contradicted_by_dense_sampling(kit: SimpleNamespace, seeds: range) -> None:
+    passed = failing = 0
+    unit = 5 * kit.dense  # samples
+    for seed in seeds:
+        rng = np.random.default_rng(90_000 + seed)
+        cars = [kit.random_car(rng, f"v{i}", 15).moved(*rng.uniform(-9, 9, 2)) for i in range(2)]
+        # Cubes that the truth grazes from either side, and cars that may meet.
+        cubes = {car.name: car.hulls(1.0, 0.0) + rng.normal(0, 2e-5, (3, 4)) for car in cars}
+        checks = judge(kit.Scene(cars, cubes=cubes).result())
+        gap = box_gap(cars[0].boxes(), cars[1].boxes()).min()
+        inside = min(
+            wall_margin(car.boxes()[unit * k : unit * (k + 1) + 1], cubes[car.name][k]).min()
+            for car in cars
+            for k in range(3)
+        )
+        if checks["separation"].verdict == PASS:
+            assert gap > 0.0, seed
+        if checks["in_corridor"].verdict == PASS:
+            assert inside >= -1e-6 - 1e-9, seed
+        passed += checks["separation"].verdict == PASS
+        failing += checks["separation"].verdict == FAIL
+    assert passed > len(seeds) / 4
+    assert failing > 0
 
 
 @pytest.mark.parametrize(("short_m", "verdict"), [(0.0, PASS), (5e-7, PASS), (1e-5, FAIL)])

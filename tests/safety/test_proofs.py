@@ -11,6 +11,7 @@ import polars as pl
 import pytest
 
 from istc_replay.config import Config, parse_config
+from istc_replay.datatypes import StaticScene
 from istc_replay.safety.boxes import box_gap
 from istc_replay.safety.case import Case, build_case
 from istc_replay.safety.plan import written_plans
@@ -19,7 +20,7 @@ from istc_replay.safety.walls import least_inside, wall_margin
 
 
 def case_of(scene: Any, config: Config | None = None) -> Case:
-    case = build_case(next(written_plans(scene.result())), {}, None, config or Config())
+    case = build_case(next(written_plans(scene.result())), {}, StaticScene(), config or Config())
     assert case is not None
     return case
 
@@ -173,7 +174,7 @@ def test_knots_a_rounding_off_a_boundary_are_on_it(kit: SimpleNamespace) -> None
             .otherwise(pl.col("time_ns"))
         )
         moved = replace(result, states=result.states.with_columns(late.alias("time_ns")))
-        case = build_case(next(written_plans(moved)), {}, None, Config())
+        case = build_case(next(written_plans(moved)), {}, StaticScene(), Config())
         assert case is not None
         assert case.motion.present.all()
         assert (case.units >= 0).all()

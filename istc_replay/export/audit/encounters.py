@@ -98,4 +98,4 @@ def _picture(recording: Recording, row: Row, k: int) -> Html | None:
         f"The least gap is {number(row['least_gap_m'], 2, 'm')}."
     )
     svg = inline_svg(figure_bytes(figure, "svg"), f"e{k}", alternative)
-    return element("figure", svg, element("figcaption", _CAPTION))
+    return figure_of(svg, _CAPTION)

@@ -145,7 +145,7 @@ def _timeline(recording: Recording) -> Html | None:
         "When findings lie: a bar from start to end, a mark where each is worst. Crosses are critical, "
         "diamonds serious, dots minor, strokes data in doubt."
     )
-    return join([element("h2", "Timeline"), element("figure", svg, element("figcaption", caption))])
+    return join([element("h2", "Timeline"), figure_of(svg, caption)])
 
 
 def _listed(title: str, findings: pl.DataFrame, recording: Recording, links: Links) -> Html | None:

@@ -15,6 +15,7 @@ CHECKS = {
     "complete": "nothing is missing from the plan",
     "cubes_disjoint": "in every time unit, corridor-cubes of different vehicles keep their gap",
     "obstacles_clear": "in every time unit, corridor-cubes keep their gap from obstacles",
+    "obstacles_known": "all obstacles, and road users that stay as recorded, are among those kept clear of",
     "cubes_overlap": "consecutive cubes of each corridor overlap",
     "in_bounds": "nothing leaves the map's bounds",
     "dynamics": "the trajectories follow the kinematic bicycle when integrated anew",
