@@ -11,7 +11,7 @@ from istc_replay.export.audit.pictures import Recording, draw_encounter
 from istc_replay.export.figures import figure_bytes
 from istc_replay.export.figures.style import drawing_style
 from istc_replay.export.report.findings import findings_table, severity_word
-from istc_replay.export.report.markup import Html, element, facts, join, names, number
+from istc_replay.export.report.markup import Html, captioned, element, facts, join, names, number
 from istc_replay.export.report.pictures import inline_svg
 from istc_replay.export.text import shortened, visible
 from istc_replay.safety.rules import worst_first
@@ -98,4 +98,4 @@ def _picture(recording: Recording, row: Row, k: int) -> Html | None:
         f"The least gap is {number(row['least_gap_m'], 2, 'm')}."
     )
     svg = inline_svg(figure_bytes(figure, "svg"), f"e{k}", alternative)
-    return figure_of(svg, _CAPTION)
+    return captioned(svg, _CAPTION)

@@ -20,6 +20,7 @@ from istc_replay.export.report.markup import (
     NOTHING,
     Content,
     Html,
+    captioned,
     element,
     facts,
     join,
@@ -145,7 +146,7 @@ def _timeline(recording: Recording) -> Html | None:
         "When findings lie: a bar from start to end, a mark where each is worst. Crosses are critical, "
         "diamonds serious, dots minor, strokes data in doubt."
     )
-    return join([element("h2", "Timeline"), figure_of(svg, caption)])
+    return join([element("h2", "Timeline"), captioned(svg, caption)])
 
 
 def _listed(title: str, findings: pl.DataFrame, recording: Recording, links: Links) -> Html | None:
