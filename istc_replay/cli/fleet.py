@@ -93,7 +93,9 @@ def run(
         raise click.UsageError("no logs are given")
     if options["scheduler"] and options["engine"] != "dask":
         raise click.UsageError("--scheduler needs --engine dask")
-    found = find_logs(logs, lists)
+    found = find_logs(logs, lists, leave_out=output)
+    if not found:
+        raise click.UsageError(f"{output} is the folder of the outputs: nothing in it is a log")
     line = _Line()
     at_work = Fleet(output, _orders(config_path, options), line)
     caught: list[int] = []

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import base64
+import fcntl
 import json
 import os
 import re
@@ -14,6 +15,7 @@ import tempfile
 import time
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import IO
 
 import psutil
 
@@ -49,7 +51,7 @@ class Cell:
     def __init__(self, limits: Limits) -> None:
         self._limits = limits
         self._process: subprocess.Popen[bytes] | None = None
-        self._errors = tempfile.TemporaryFile()  # noqa: SIM115, it lives as long as the cell
+        self._errors = _appended_file()
         self._received = b""
         self._ready = False
         self._done = 0
@@ -62,6 +64,7 @@ class Cell:
         if self._process is None or self._process.poll() is not None or self._done >= JOBS_A_PROCESS:
             self._start()
         self.job, self._began, self._peak_mb = job, time.monotonic(), 0.0
+        self._errors.truncate(0)
         message = {"job": job.to_dict()}
         if content is not None:
             message["content"] = base64.b64encode(content).decode()  # type: ignore[assignment]
@@ -97,8 +100,6 @@ class Cell:
 
     def _start(self) -> None:
         self._kill()
-        self._errors.seek(0)
-        self._errors.truncate()
         command = [sys.executable, "-P", "-m", "istc_replay.fleet.worker"]
         command += [str(self._limits.memory_mb), str(self._limits.time_s)]
         self._process = subprocess.Popen(  # noqa: S603, this interpreter with numbers
@@ -195,6 +196,13 @@ class Cell:
                 with suppress(OSError):
                     pipe.close()
         self._process = None
+
+
+def _appended_file() -> IO[bytes]:
+    """A nameless file for what a process says, which may be emptied while the process writes."""
+    file = tempfile.TemporaryFile(buffering=0)  # noqa: SIM115, it lives as long as the cell
+    fcntl.fcntl(file, fcntl.F_SETFL, fcntl.fcntl(file, fcntl.F_GETFL) | os.O_APPEND)
+    return file
 
 
 def default_jobs() -> int:

@@ -29,7 +29,9 @@ class Source:
     name: str
 
 
-def find_logs(arguments: Sequence[str], lists: Sequence[Path] = ()) -> list[str]:
+def find_logs(
+    arguments: Sequence[str], lists: Sequence[Path] = (), leave_out: Path | None = None
+) -> list[str]:
     """Find the logs that arguments name, each once, in the order of the arguments.
 
     Parameters
@@ -40,6 +42,8 @@ def find_logs(arguments: Sequence[str], lists: Sequence[Path] = ()) -> list[str]
     lists : sequence of Path
         Text files with one such argument a line; empty lines and lines that begin with `#` are
         skipped, relative paths count from the list's folder.
+    leave_out : Path, optional
+        A folder whose files are no logs, such as that of the outputs.
 
     Returns
     -------
@@ -59,7 +63,10 @@ def find_logs(arguments: Sequence[str], lists: Sequence[Path] = ()) -> list[str]
             found |= dict.fromkeys(_named(argument, Path.cwd()))
     for file in lists:
         found |= dict.fromkeys(_listed(file))
-    return list(found)
+    if leave_out is None:
+        return list(found)
+    outputs = os.path.join(os.path.abspath(leave_out), "")  # noqa: PTH100, PTH118
+    return [log for log in found if not log.startswith(outputs)]
 
 
 def _listed(file: Path) -> Iterator[str]:

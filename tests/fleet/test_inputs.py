@@ -49,6 +49,14 @@ def test_what_names_nothing_is_refused(
         find_logs([argument])
 
 
+def test_what_a_fleet_wrote_is_no_log_of_the_next_call(night: Path) -> None:
+    (night / "b/logs/drive").mkdir(parents=True)
+    (night / "b/logs/drive/result.mcap").write_text("")
+    every = find_logs([str(night)])
+    assert len(every) == 4
+    assert find_logs([str(night)], leave_out=night / "b") == every[:2]
+
+
 def test_a_name_with_the_marks_of_a_glob_is_a_file_where_there_is_one(tmp_path: Path) -> None:
     odd = tmp_path / "run [1].mcap"
     odd.write_text("")
