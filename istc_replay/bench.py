@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import time
 from dataclasses import dataclass
 from importlib import resources
@@ -21,7 +22,7 @@ from istc_replay.coordinate import plan_window
 from istc_replay.datatypes import Log, WindowStatus
 from istc_replay.errors import ScenarioError
 from istc_replay.pipeline.replay import replay_read
-from istc_replay.samples.scenes import find_sample, packaged_scene, record
+from istc_replay.samples.scenes import SAMPLES, find_sample, packaged_scene, record
 from istc_replay.scenario import build_scenarios
 from istc_replay.trajectories.plan import TrajectoryPlanner
 
@@ -29,6 +30,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from istc_replay.config import Config
+    from istc_replay.datatypes import Result, WindowPlan
     from istc_replay.samples.drive import RecordedScene
     from istc_replay.samples.sceneform import SceneFile
 
@@ -67,18 +69,34 @@ class Row:
     certified: bool
     arrived: bool
     reason: str
+    stages_s: dict[str, float]  # of layer 1, in the run of median length, and of its proof
 
 
-def bench(names: Sequence[str], config: Config, runs: int, told: Callable[[str], None]) -> list[Row]:
-    """Measure scenes by name, in order; `told` hears which one is being measured."""
-    rows = []
+def bench(
+    names: Sequence[str], config: Config, runs: int, told: Callable[[str], None]
+) -> tuple[list[Row], dict[str, Result]]:
+    """Measure scenes by name, in order; `told` hears which one is being measured.
+
+    Returns
+    -------
+    tuple
+        A row a scene, and by name the results that were certified.
+    """
+    rows, results = [], {}
     for name in names:
         told(name)
-        rows.append(_row(name, find_sample(name).record, config, runs))
-    return rows
+        row, results[name] = _row(name, find_sample(name).record, config, runs)
+        rows.append(row)
+    return rows, results
 
 
-def _row(name: str, make: Callable[[], RecordedScene], config: Config, runs: int) -> Row:
+def scaling_names() -> tuple[str, ...]:
+    """Names of the dense crossings without obstacles, from few vehicles to many."""
+    found = {int(m[1]): name for name in SAMPLES if (m := re.fullmatch(r"dense_(\d+)", name))}
+    return tuple(found[count] for count in sorted(found))
+
+
+def _row(name: str, make: Callable[[], RecordedScene], config: Config, runs: int) -> tuple[Row, Result]:
     fast = config.model_copy(update={"corridors": config.corridors.model_copy(update={"mode": "fast"})})
     began = time.perf_counter()
     log = recorded_log(make())
@@ -88,7 +106,9 @@ def _row(name: str, make: Callable[[], RecordedScene], config: Config, runs: int
     plan_window(scenario, fast, planner)  # builds the NLPs, which all later runs share
     plans = [plan_window(scenario, fast, planner) for _ in range(runs)]
     layer1, layer2 = (median(p.seconds[layer] for p in plans) for layer in ("corridors", "trajectories"))
-    window = replay_read(log, fast).summary["windows"][0]
+    median_run = sorted(plans, key=lambda p: p.seconds["corridors"])[len(plans) // 2]
+    replayed = replay_read(log, fast)
+    window = replayed.summary["windows"][0]
     proven = _proof(scenario, config, planner) if config.corridors.mode == "certified" else {}
     figures = window["corridors"] | {
         key: proven[key] for key in ("objective", "bound", "gap") if key in proven
@@ -96,7 +116,7 @@ def _row(name: str, make: Callable[[], RecordedScene], config: Config, runs: int
     checks = {check["check"]: check["margin"] for check in window["certificate"]["checks"]}
     vehicles = window["vehicles"]
     lengths = [v["length_m"] for v in vehicles]
-    return Row(
+    row = Row(
         name=name,
         vehicles=len(vehicles),
         guidance_s=guidance_s,
@@ -113,7 +133,18 @@ def _row(name: str, make: Callable[[], RecordedScene], config: Config, runs: int
         certified=window["status"] == WindowStatus.CERTIFIED,
         arrived=all(v["arrived"] is not False for v in vehicles) and window["vehicles_certified"] > 0,
         reason=window["reason"],
+        stages_s=_stages(median_run) | {f"proof: {k}": v for k, v in proven.get("stages", {}).items()},
     )
+    return row, replayed.result
+
+
+def _stages(plan: WindowPlan) -> dict[str, float]:
+    """Seconds of each stage of layer 1."""
+    stages: dict[str, float] = {}
+    for solve in plan.records:
+        if solve.layer == "corridors":
+            stages[solve.stage] = stages.get(solve.stage, 0.0) + (solve.wall_s or 0.0)
+    return stages
 
 
 def _proof(scenario: Any, config: Config, planner: TrajectoryPlanner) -> dict[str, Any]:
@@ -126,6 +157,7 @@ def _proof(scenario: Any, config: Config, planner: TrajectoryPlanner) -> dict[st
         "bound": found.bound,
         "gap": found.gap,
         "seconds": plan.seconds["corridors"],
+        "stages": _stages(plan),
     }
 
 

@@ -315,31 +315,6 @@ def test_figures_draws_every_picture_of_a_result(
     assert (tmp_path / "window_0_top_down.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_bench_measures_a_scene_beside_its_peers(call: Command) -> None:
-    done = call("bench", "--table", "iii", "--runs", "1", "--fast", "--json")
-    assert done.returncode == 0, done.stderr
-    found = json.loads(done.stdout)
-    assert [row["name"] for row in found["rows"]] == [
-        "intersection_turn_first",
-        "intersection_straight_first",
-    ]
-    for row in found["rows"]:
-        assert row["certified"]
-        assert row["arrived"]
-        assert row["bound"] <= row["objective"]
-        assert min(row["layer1_s"], row["layer2_s"], row["length_m"], row["min_separation_m"]) > 0.0
-    assert found["others"]["paper"]["dense_8"]["layer1_s"] == 3.954
-    assert "intersection_turn_first" in call("bench", "--table", "iii", "--runs", "1", "--fast").stdout
-
-
-def test_bench_replays_perturbed_copies_of_a_scene(call: Command) -> None:
-    done = call("bench", "--scene", "dense_4", "--perturb", "2", "--json")
-    found = json.loads(done.stdout)["perturbed"][0]
-    assert found["perturbed"] == 2
-    assert found["certified_and_arrived"] + len(found["misses"]) == 2
-    assert done.returncode == (0 if not found["misses"] else 4)
-
-
 def altered(tmp_path: Path, change: Callable[[pl.DataFrame], pl.DataFrame]) -> Path:
     """The intersection as a log whose recorded states were changed."""
     recorded = find_sample("intersection_turn_first").record()
