@@ -12,11 +12,13 @@ import polars as pl
 import pytest
 from numpy.typing import NDArray
 
+from istc_replay.audit_config import AuditConfig
 from istc_replay.config import Config, parse_config
 from istc_replay.datatypes import Log, Verdict
 from istc_replay.errors import LogError
 from istc_replay.ingest.log import read_log
 from istc_replay.safety.log_audit import Audit, audit_log
+from istc_replay.safety.rules import CORRIDOR_RULE, PAIR_RULES, PET_RULE, VEHICLE_RULES
 from istc_replay.states import (
     COVERAGE_SCHEMA,
     ENCOUNTERS_SCHEMA,
@@ -428,3 +430,48 @@ def test_a_crowd_too_dense_for_the_memory_is_refused_by_name(
     monkeypatch.setattr("istc_replay.safety.broad_phase._MOST_PAIRS", 100)
     with pytest.raises(LogError, match="pairs of bodies are near each other"):
         audit_log(logs.log_of(*calm(logs)), Config())
+
+
+def test_the_sign_of_an_encroachment_says_who_was_first(logs: SimpleNamespace) -> None:
+    names = {"ann": "zoe", "bob": "abe"}
+    told = []
+    renamed = [part.with_columns(pl.col("vehicle_id").replace(names)) for part in near_miss(logs)]
+    for parts in (near_miss(logs), renamed):
+        audit = audit_log(logs.log_of(*parts), Config())
+        row = audit.encounters.row(0, named=True)
+        assert row["least_pet_s"] == row["event_pet_s"] == audit.findings["value"][0]
+        # Positive: the first named was there first, and it is named in the detail.
+        first = row["first"] if row["least_pet_s"] > 0 else row["second"]
+        assert audit.findings["detail"][0].startswith(f"{first} first")
+        told.append((first, abs(row["least_pet_s"])))
+    assert told[0][1] == pytest.approx(told[1][1])
+    assert names[told[0][0]] == told[1][0]
+
+
+def test_late_starts_and_early_ends_are_in_the_coverage_and_in_the_findings_that_touch_them(
+    logs: SimpleNamespace,
+) -> None:
+    a, b = east(logs, "a", 20.0, 0.0), east(logs, "b", 20.0, -4.5 - 14.0)
+    start = int(a["time_ns"].min())  # type: ignore[arg-type]
+    short = b.filter(pl.col("time_ns").is_between(start + 2 * NS, start + 7 * NS))
+    audit = audit_log(logs.log_of(a, short), Config())
+    row = audit.coverage.filter(pl.col("vehicle_id") == "b", pl.col("rule") == "thw").row(0, named=True)
+    assert row["late_start_s"] == pytest.approx(2.0)
+    assert row["early_end_s"] == pytest.approx(T[-1] - 7.0)
+    assert (row["recorded_s"], row["judged_s"]) == (pytest.approx(5.0), pytest.approx(5.0, abs=0.11))
+    detail = audit.findings.filter(pl.col("rule") == "thw")["detail"][0]
+    assert "under way when a track begins" in detail
+    assert "cut off by the end of a track" in detail
+
+
+def test_every_level_of_every_rule_is_configurable_and_says_so() -> None:
+    for rule in (*PAIR_RULES, PET_RULE, *VEHICLE_RULES, CORRIDOR_RULE):
+        for level in rule.levels:
+            if level is None or not isinstance(level[0], str):
+                continue
+            key = level[0]
+            default = AuditConfig.model_fields[key].default or 10.0  # unset, or a limit of zero
+            # A hair past the default, so that the order of the levels stands.
+            changed = AuditConfig.model_validate({key: default * (1.0 + 1e-9)})
+            sources = {value: source for _, value, source in rule.thresholds(changed)}
+            assert sources[default * (1.0 + 1e-9)] == f"configured: audit.{key}", (rule.name, key)
