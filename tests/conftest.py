@@ -3,13 +3,18 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import polars as pl
+import psutil
 import pytest
 
 from istc_replay.datatypes import (
@@ -413,3 +418,72 @@ def _renamed(result: Result, new_names: dict[str, str]) -> Result:
 def renamed() -> Callable[[Result, dict[str, str]], Result]:
     """Give the same result of vehicles by other names, in its tables and in its summary."""
     return _renamed
+
+
+# --- viewers ---------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="session")
+def listening() -> Callable[[int], set[str]]:
+    """Give the addresses on which a process and its children listen; there must be one at least."""
+
+    def addresses(pid: int) -> set[str]:
+        process = psutil.Process(pid)
+        found = {
+            connection.laddr.ip
+            for one in (process, *process.children(recursive=True))
+            for connection in one.net_connections(kind="inet")
+            if connection.status == psutil.CONN_LISTEN
+        }
+        assert found
+        return found
+
+    return addresses
+
+
+@pytest.fixture(scope="session")
+def viewer_process(tmp_path_factory: pytest.TempPathFactory) -> Iterator[subprocess.Popen[bytes]]:
+    """A headless viewer, started with the product's own command line; skips where there is no drawing."""
+    from rerun.experimental import ViewerClient
+
+    from istc_replay.export.rerun_viewer import free_port, rerun_command
+
+    port = free_port()
+    log = tmp_path_factory.mktemp("viewer") / "log.txt"
+    command = rerun_command("--headless", "--port", str(port), "--window-size", "1600x1000")
+    with log.open("w") as out:
+        process = subprocess.Popen(
+            [*command, "--hide-welcome-screen", "--memory-limit", "1GB"],
+            stdout=out,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
+    process.url = f"rerun+http://127.0.0.1:{port}/proxy"  # type: ignore[attr-defined]
+    try:
+        deadline = time.monotonic() + 60.0
+        while time.monotonic() < deadline and process.poll() is None:
+            try:
+                ViewerClient.connect(process.url).get_state()  # type: ignore[attr-defined]
+            except Exception:  # whatever it is, the viewer is not up yet
+                time.sleep(0.3)
+            else:
+                break
+        else:
+            words = log.read_text(errors="replace").strip().splitlines() or ["no word"]
+            pytest.skip(f"Rerun's viewer does not start here (no Vulkan in software?): {words[-1]}")
+        yield process
+    finally:
+        if process.poll() is None:
+            os.killpg(process.pid, signal.SIGTERM)
+            process.wait(timeout=20)
+
+
+@pytest.fixture
+def viewer(viewer_process: Any) -> Iterator[Any]:
+    """A client of the headless viewer; what a test opens is closed after it."""
+    from rerun.experimental import ViewerClient
+
+    client = ViewerClient.connect(viewer_process.url)
+    yield client
+    if client.get_state().recordings:
+        client.close("all")

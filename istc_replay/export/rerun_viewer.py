@@ -180,7 +180,7 @@ def close_recording(url: str, name: str) -> None:
     with _client(url) as client:
         for recording in client.get_state().recordings:
             if recording.store_id.endswith(f":{name}"):
-                client.close(recording.store_id)
+                client.close(store_ids=[recording.store_id])
 
 
 @contextmanager

@@ -47,6 +47,11 @@ class _Handler(SimpleHTTPRequestHandler):
         """Say nothing: only the command line prints."""
 
 
+class _Server(ThreadingHTTPServer):
+    def handle_error(self, request: object, client_address: object) -> None:
+        """Say nothing of a browser that goes away in the middle of an answer."""
+
+
 def folder_server(folder: Path, port: int = 0) -> ThreadingHTTPServer:
     """A server of a folder that listens on 127.0.0.1 alone, on a free port where it is 0.
 
@@ -56,6 +61,6 @@ def folder_server(folder: Path, port: int = 0) -> ThreadingHTTPServer:
         If the port is taken or not allowed.
     """
     try:
-        return ThreadingHTTPServer((LOCAL, port), partial(_Handler, directory=str(folder)))
+        return _Server((LOCAL, port), partial(_Handler, directory=str(folder)))
     except (OSError, OverflowError) as error:
         raise ExportError(f"port {port}: {error}; choose another with --port, or leave it out") from None

@@ -118,7 +118,29 @@ def browser() -> Iterator[Any]:
         own = Path(driver.chromium.executable_path)
         if found is None and not own.exists():
             pytest.skip("no Chromium: install it, or run `playwright install chromium`")
-        options = ["--no-sandbox", "--host-resolver-rules=MAP * ~NOTFOUND"]
+        options = ["--no-sandbox", "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1"]
+        options += ["--use-angle=swiftshader", "--enable-unsafe-swiftshader", "--ignore-gpu-blocklist"]
         launched = driver.chromium.launch(executable_path=None if own.exists() else found, args=options)
         yield launched
         launched.close()
+
+
+@pytest.fixture(scope="session")
+def crowd(synthetic_result: Result, renamed: Callable[[Result, dict[str, str]], Result]) -> Result:
+    """Fifty-one vehicles: the three of `synthetic_result` in seventeen places."""
+    cars = ("car 1", "car 2", "car 3")
+    copies = []
+    for n in range(17):
+        copy = renamed(synthetic_result, {car: f"{car[4]}{n:02d}" for car in cars})
+        east, north = 60.0 * (n % 5), 60.0 * (n // 5)
+        moved = {"states": ("x_m", "y_m"), "corridors": ("frame_x_m", "frame_y_m")}
+        tables = {
+            name: getattr(copy, name).with_columns(pl.col(x) + east, pl.col(y) + north)
+            for name, (x, y) in moved.items()
+        }
+        copies.append(replace(copy, **tables))
+    joined = {name: pl.concat([getattr(copy, name) for copy in copies]) for name in ("states", "corridors")}
+    (window,) = synthetic_result.summary["windows"]
+    vehicles = [vehicle for copy in copies for vehicle in copy.summary["windows"][0]["vehicles"]]
+    summary = synthetic_result.summary | {"windows": [window | {"vehicles": vehicles}]}
+    return replace(synthetic_result, **joined, summary=summary)
