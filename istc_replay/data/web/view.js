@@ -62,6 +62,7 @@ async function start() {
     notebook: false,
     persist: false,
   });
+  name_inputs();
   await viewer.start(canvas);
   window.viewer = viewer;
   for (const button of document.querySelectorAll("button[data-ns]")) {
@@ -76,6 +77,14 @@ async function start() {
   say("");
   document.body.dataset.ready = "yes";
   watch(viewer);
+}
+
+// The viewer takes typed text by an input of its own, which has no name for those who hear the page.
+function name_inputs() {
+  new MutationObserver(() => {
+    for (const input of document.querySelectorAll("input:not([aria-label])"))
+      input.setAttribute("aria-label", "Text typed into the scene");
+  }).observe(document.documentElement, { childList: true, subtree: true });
 }
 
 function watch(viewer) {
