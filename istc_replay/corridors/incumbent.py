@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from istc_replay.corridors import cbc, conflict_tree
+from istc_replay.corridors import cbc, groups, neighbourhoods
 from istc_replay.corridors.miqp import build_size_milp
 from istc_replay.corridors.polish import polish
 from istc_replay.corridors.relinearise import frames_about, with_references
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
     from istc_replay.config import CorridorsConfig
-    from istc_replay.corridors.conflict_tree import TreeOutcome
+    from istc_replay.corridors.groups import TreeOutcome
     from istc_replay.corridors.problem import CorridorProblem
     from istc_replay.datatypes import Guidance
 
@@ -78,7 +78,7 @@ def grow_tree(search: Search, config: CorridorsConfig) -> TreeOutcome:
     """Stage A: pivotal points without conflict."""
     began = time.perf_counter()
     problem = search.problem
-    tree = conflict_tree.search(problem, config.tree_node_budget)
+    tree = groups.search(problem, config.tree_node_budget)
     search.exhausted, search.reference_bound = tree.exhausted, tree.bound
     search.offer(tree.z, "conflict tree")
     status = SolveStatus.FEASIBLE
@@ -172,7 +172,7 @@ def follow(
         much = _MUCH * abs(search.objective)
         if polished is not None and problem.objective(polished) < search.objective - much:
             least = problem.least_cubes(polished)
-            refined, _ = conflict_tree.improve(problem, least, config.tree_node_budget // 4)
+            refined, _ = neighbourhoods.improve(problem, least, config.tree_node_budget // 4)
             found.append(polish(problem, problem.separations.best(refined)))
         best = min((z for z in found if z is not None), key=problem.objective, default=None)
         better = best is not None and problem.objective(best) < search.objective - _WORTH * abs(

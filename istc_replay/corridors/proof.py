@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from istc_replay.corridors import cbc, conflict_tree
+from istc_replay.corridors import cbc, groups
 from istc_replay.corridors.incumbent import Search, fill
 from istc_replay.corridors.miqp import MilpModel, build_milp
 from istc_replay.corridors.pivot_qp import PivotQp
@@ -63,7 +63,7 @@ def prove_points(search: Search, config: CorridorsConfig) -> None:
     began = time.perf_counter()
     problem = search.problem
     choice = tuple(enumerate(problem.separations.best(search.z).tolist()))
-    tree = conflict_tree.prove(problem, choice, config.tree_proof_node_budget)
+    tree = groups.prove(problem, choice, config.tree_proof_node_budget)
     search.exhausted = tree.exhausted
     search.reference_bound = max(search.reference_bound, tree.bound)
     status = SolveStatus.OPTIMAL if tree.exhausted else SolveStatus.FEASIBLE

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from istc_replay.corridors.conflict_tree import search
+from istc_replay.corridors.groups import search
 from istc_replay.corridors.polish import polish
 from istc_replay.corridors.problem import CorridorProblem
 

@@ -10,8 +10,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from istc_replay.corridors.conflict_tree import search
 from istc_replay.corridors.formulation import car_box_m
+from istc_replay.corridors.groups import search
 from istc_replay.corridors.problem import CorridorProblem, Limits
 
 

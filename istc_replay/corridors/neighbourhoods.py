@@ -1,0 +1,193 @@
+"""Neighbourhoods: few vehicles plan anew, those they meet move along, all others stay where they are.
+
+They improve a plan, and put one together where more vehicles meet than one tree can hold.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from istc_replay.corridors.conflict_tree import BETTER, TOGETHER, Group, Tree
+from istc_replay.corridors.pivot_qp import Choices, PivotQp
+from istc_replay.corridors.polish import polish
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from istc_replay.corridors.problem import CorridorProblem
+    from istc_replay.datatypes import FloatArray
+
+#: Least cubes of vehicles that meet are nearer than this at some time [m].
+_NEAR_M = 1.0
+#: Nodes of a neighbourhood by its size; sweeps over all of them, while one gains this share.
+_NEIGHBOURHOOD_NODES = {1: 60, 2: 120}
+_SWEEPS, _WORTH_A_SWEEP = 4, 0.005
+#: Nodes for one vehicle that joins a plan, and attempts to put one together.
+_JOINING_NODES = 200
+_ATTEMPTS = 6
+
+
+def join(
+    problem: CorridorProblem, z: FloatArray, order: Sequence[int]
+) -> tuple[FloatArray | None, int, tuple[int, int] | None]:
+    """Put a plan together vehicle by vehicle; who finds no place joins first in the next attempt.
+
+    Parameters
+    ----------
+    problem : CorridorProblem
+        The window's problem.
+    z : (n,) array
+        Each vehicle's plan alone.
+    order : sequence of int
+        The vehicles, in the order in which they join.
+
+    Returns
+    -------
+    tuple
+        A solution with least cubes or None, the number of QPs, and the two that were in each other's
+        way where there is none.
+    """
+    qp, nodes, pair = PivotQp(problem), 0, None
+    for _ in range(_ATTEMPTS):
+        joined, more, pair = _joined(problem, qp, problem.least_cubes(z), order)
+        nodes += more
+        if joined is not None or pair is None:
+            return joined, nodes, None
+        order = [pair[0], *(vehicle for vehicle in order if vehicle != pair[0])]
+    return None, nodes, pair
+
+
+def _joined(
+    problem: CorridorProblem, qp: PivotQp, z: FloatArray, order: Sequence[int]
+) -> tuple[FloatArray | None, int, tuple[int, int] | None]:
+    placed: Group = frozenset()
+    nodes = 0
+    for vehicle in order:
+        costs = _costs(problem, z)
+        meetings = _meetings(problem, z, placed | {vehicle})
+        # First it alone chooses, then also whom it meets, and whom they meet.
+        for rings in range(3):
+            part = _moving(frozenset([vehicle]), costs, meetings, rings)
+            moving = _moving(part, costs, meetings)
+            kept = _kept(problem, z, part, moving)
+            view = qp.beside(z, tuple(sorted(moving)))
+            tree = Tree(problem, view, moving, _JOINING_NODES, kept, against=placed - moving)
+            tree.plunge(kept, _JOINING_NODES // 2, first_only=True)
+            if tree.best is None:
+                tree.earliest_first = True
+                tree.plunge(kept, _JOINING_NODES // 2, first_only=True)
+            nodes += tree.nodes
+            if tree.best is not None:
+                z = problem.least_cubes(view.z(tree.best))
+                break
+        else:
+            met = [w for pair in meetings if vehicle in pair for w in pair if w != vehicle]
+            return None, nodes, (vehicle, min(met, default=vehicle))
+        placed |= {vehicle}
+    return z, nodes, None
+
+
+def improve(problem: CorridorProblem, z: FloatArray, node_budget: int) -> tuple[FloatArray, int]:
+    """Plan few vehicles anew beside all others, costliest first, until none gives a better solution.
+
+    Parameters
+    ----------
+    problem : CorridorProblem
+        The window's problem.
+    z : (n,) array
+        A solution.
+    node_budget : int
+        Largest number of QPs.
+
+    Returns
+    -------
+    tuple
+        A solution with least cubes, no worse, and the number of QPs.
+    """
+    qp, nodes = PivotQp(problem), 0
+    for _ in range(_SWEEPS):
+        before = problem.reference_cost(z)
+        for size in _NEIGHBOURHOOD_NODES:
+            z, more = _sweep(problem, qp, z, size, node_budget - nodes)
+            nodes += more
+        settled = polish(problem, problem.separations.best(z))
+        if settled is not None and problem.reference_cost(settled) < problem.reference_cost(z):
+            z = problem.least_cubes(settled)
+        if nodes >= node_budget or problem.reference_cost(z) > (1.0 - _WORTH_A_SWEEP) * before:
+            break
+    return z, nodes
+
+
+def _sweep(
+    problem: CorridorProblem, qp: PivotQp, z: FloatArray, size: int, node_budget: int
+) -> tuple[FloatArray, int]:
+    """Neighbourhoods of one size."""
+    tried: set[Group] = set()
+    everyone = frozenset(range(len(problem.blocks)))
+    nodes, limit = 0, _NEIGHBOURHOOD_NODES[size]
+    while nodes < node_budget:
+        costs = _costs(problem, z)
+        part = _costliest_part(problem, z, costs, size, tried)
+        if part is None:
+            break
+        moving = _moving(part, costs, _meetings(problem, z, everyone))
+        kept = _kept(problem, z, part, moving)
+        view = qp.beside(z, tuple(sorted(moving)))
+        most = sum(costs[v] for v in moving) * (1.0 - BETTER)
+        tree = Tree(problem, view, moving, limit, kept, against=everyone - moving, most=most)
+        tree.search_below_guess()
+        nodes += tree.nodes
+        if tree.best is not None:
+            z = problem.least_cubes(view.z(tree.best))
+            tried = {other for other in tried if not other & part}
+        tried.add(part)
+    return z, nodes
+
+
+def _costs(problem: CorridorProblem, z: FloatArray) -> list[float]:
+    """Eq. (3) of each vehicle."""
+    away = problem.quadratic * (z - problem.reference) ** 2
+    return [float(away[block.pivot[1:]].sum()) for block in problem.blocks]
+
+
+def _meetings(problem: CorridorProblem, z: FloatArray, among: Group) -> set[tuple[int, int]]:
+    """Pairs of vehicles whose least cubes are near each other at some time."""
+    table = problem.separations
+    near = ~table.obstacle & (table.slack(z).max(axis=1, initial=-np.inf) < _NEAR_M)
+    near &= np.isin(table.first, tuple(among)) & np.isin(table.second, tuple(among))
+    return set(zip(table.first[near].tolist(), table.second[near].tolist(), strict=True))
+
+
+def _costliest_part(
+    problem: CorridorProblem, z: FloatArray, costs: list[float], size: int, tried: set[Group]
+) -> Group | None:
+    """The costliest vehicle, or two that meet, that were not tried yet."""
+    parts = {frozenset([v]) for v in range(len(costs)) if costs[v] > BETTER}
+    if size > 1:
+        everyone = frozenset(range(len(costs)))
+        parts = {frozenset(pair) for pair in _meetings(problem, z, everyone)}
+    left = sorted(parts - tried, key=sorted)
+    return max(left, key=lambda part: sum(costs[v] for v in part), default=None)
+
+
+def _moving(part: Group, costs: list[float], meetings: set[tuple[int, int]], rings: int = 2) -> Group:
+    """The part and whom it meets, and whom they meet, the costliest first, as many as can be afforded."""
+    moving = set(part)
+    for _ in range(rings):
+        met = {w for pair in meetings if moving & set(pair) for w in pair} - moving
+        moving |= set(sorted(met, key=lambda v: (-costs[v], v))[: max(0, TOGETHER - len(moving))])
+    return frozenset(moving)
+
+
+def _kept(problem: CorridorProblem, z: FloatArray, part: Group, moving: Group) -> Choices:
+    """Options that those keep who move but do not choose anew."""
+    table = problem.separations
+    slack = table.slack(z)
+    others = tuple(moving - part)
+    first, second = np.isin(table.first, others), np.isin(table.second, others) & ~table.obstacle
+    theirs = (first | second) & ~np.isin(table.first, tuple(part))
+    theirs &= table.obstacle | ~np.isin(table.second, tuple(part))
+    theirs &= slack.max(axis=1, initial=-np.inf) < _NEAR_M
+    return tuple((int(d), int(slack[d].argmax())) for d in np.flatnonzero(theirs))
