@@ -40,6 +40,7 @@ _SEVERITIES: tuple[Literal["minor", "serious", "critical"], ...] = ("minor", "se
     show_default=True,
     help="Clips of the log around serious findings, worst first, at most.",
 )
+@click.option("--json", "as_json", is_flag=True, help="Tell it as JSON (schemas/audit.schema.json).")
 @click.option("-c", "--config", "config_path", type=FILE, help="Configuration (TOML); of a result, its own.")
 def audit(
     source: Path,
@@ -47,6 +48,7 @@ def audit(
     fail_on: Literal["minor", "serious", "critical"],
     formats: str,
     clips: int,
+    as_json: bool,
     config_path: Path | None,
 ) -> int:
     """Audit what SOURCE, a log or a result, recorded; of a result, its plans as well.
@@ -59,7 +61,10 @@ def audit(
 
     chosen = chosen_formats(formats, _AUDIT_FORMATS)
     config = None if config_path is None else load_config(config_path)
-    text, code, files = audit_read(source, config, output, chosen, fail_on, clips)
+    text, code, files = audit_read(source, config, output, chosen, fail_on, clips, as_json=as_json)
+    if as_json:
+        click.echo(text)
+        return code
     print_lines(tell.line(text_line) for text_line in text.splitlines())
     print_lines(tell.line(file) for file in files)
     return code

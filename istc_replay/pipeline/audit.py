@@ -55,14 +55,17 @@ def audit_read(
     formats: Sequence[AuditFormat],
     fail_on: Severity,
     clips: int = 0,
+    *,
+    as_json: bool = False,
 ) -> tuple[str, int, list[Path]]:
-    """Audit a log or result: what was found as Markdown, the exit code, the files if a folder is given.
+    """Audit a log or result: what was found as Markdown or JSON, the exit code, the files if there are any.
 
     Up to `clips` serious encounters and findings of single vehicles, worst first, get a clip of the
     log, which the report leads to.
     """
     from istc_replay import __version__
-    from istc_replay.export.audit import audit_exit_code, audit_markdown, write_audit
+    from istc_replay.export.audit import audit_exit_code, audit_markdown, audit_summary, write_audit
+    from istc_replay.export.audit.record import json_bytes
 
     found = audit_path(source, config)
     files: list[Path] = []
@@ -71,7 +74,8 @@ def audit_read(
         cut = write_clips(found, file, folder, clips)
         files = write_audit(found, folder, formats, version=__version__, fail_on=fail_on, clips=cut)
         files += [folder / path for path in cut.values()]
-    return audit_markdown(found), audit_exit_code(found, fail_on), files
+    text = json_bytes(audit_summary(found)).decode() if as_json else audit_markdown(found)
+    return text, audit_exit_code(found, fail_on), files
 
 
 def write_clips(audit: Audit, source: Path, folder: Path, most: int) -> dict[str, Path]:

@@ -21,6 +21,8 @@ from istc_replay.units import NS_PER_S
 
 IntArray = NDArray[np.int64]
 
+#: Boxes nearer than this touch, but for rounding [m].
+_TOUCHING_M = 1e-6
 #: Rules that predict straight lines.
 _STRAIGHT = ("ttc", "drac", "required_deceleration")
 #: A bridge spans a sample at least, whatever the rate.
@@ -117,7 +119,7 @@ def judged_values(pairs: Pairs, rule: str, audit: AuditConfig) -> FloatArray:
     if rule == "rss":
         return np.where(pairs["fastest_mps"] >= audit.queue_mps, pairs["rss_margin_m"], np.nan)
     # What overlaps at once is a finding of the gap; what would graze may as well pass.
-    real = moving & relative & (pairs["gap_m"] > 0.0) & (pairs["silhouette_m"] > audit.grazing_m)
+    real = moving & relative & (pairs["gap_m"] > _TOUCHING_M) & (pairs["silhouette_m"] > audit.grazing_m)
     if rule == "required_deceleration":
         # Head on, and where neither can brake its way out, other measures tell how near contact is.
         needed = np.fmin(pairs["required_first_mps2"], pairs["required_second_mps2"])

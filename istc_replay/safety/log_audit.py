@@ -59,7 +59,7 @@ class Audit:
     `findings` and `encounters` are sorted by start, `pair_samples` and `vehicle_samples` by whom
     and time; `coverage` says of each vehicle and rule how much was judged. Of a result there are
     also the `certificates` of its plans, made anew, and what was recorded `against_plan`; of a
-    log these are empty.
+    log these are empty. `origin_ns` is where a result's views begin to count, None of a log.
     """
 
     log: Log
@@ -71,7 +71,7 @@ class Audit:
     coverage: pl.DataFrame
     against_plan: pl.DataFrame
     certificates: pl.DataFrame
-    of_result: bool = False
+    origin_ns: int | None = None
 
     @property
     def verdict(self) -> Verdict:
@@ -81,6 +81,11 @@ class Audit:
             return Verdict.FAIL
         nothing = self.coverage.is_empty() or (self.coverage["judged_s"].sum() == 0.0)
         return Verdict.INCONCLUSIVE if Verdict.INCONCLUSIVE in verdicts or nothing else Verdict.PASS
+
+    @property
+    def of_result(self) -> bool:
+        """Whether a result was audited, with its plans."""
+        return self.origin_ns is not None
 
     @property
     def counts(self) -> dict[str, int]:

@@ -42,7 +42,9 @@ def audit_result(result: Result, config: Config) -> Audit:
         for row in result.findings.filter(pl.col("rule").is_in(CLOCK_RULES)).iter_rows(named=True)
     ]
     found = audit_log(recorded_log(result), config, against_plan(result, config), clocks)
-    return replace(found, certificates=_table(certify(result, config), result), of_result=True)
+    starts = [window["start_ns"] for window in result.summary.get("windows") or ()]
+    origin_ns = min(starts, default=found.log.start_ns or 0)
+    return replace(found, certificates=_table(certify(result, config), result), origin_ns=origin_ns)
 
 
 def recorded_log(result: Result) -> Log:

@@ -395,6 +395,11 @@ def test_audit_of_a_log_finds_the_collision_and_writes_it(call: Command, tmp_pat
     }
     findings = pl.read_parquet(tmp_path / "findings.parquet")
     assert "critical" in findings["severity"].to_list()
+    told = call("audit", TURN_FIRST, "--json")
+    assert told.returncode == 1
+    assert (
+        json.loads(told.stdout)["findings"] == json.loads((tmp_path / "audit.json").read_text())["findings"]
+    )
 
 
 def test_audit_of_a_log_with_nothing_wrong_finds_nothing(call: Command, tmp_path: Path) -> None:

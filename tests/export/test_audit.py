@@ -216,9 +216,9 @@ def test_the_report_leads_to_clips_and_to_the_view_of_a_result() -> None:
     text = audit_html(audit, {encounter: Path("clips/a b.mcap")})
     assert 'href="clips/a%20b.mcap"' in text
     assert "view/index.html" not in text  # a log has no view
-    viewed = audit_html(replace(audit, of_result=True))
+    viewed = audit_html(replace(audit, origin_ns=1_000_000_000))
     finding = audit.findings.filter(pl.col("encounter_id") == encounter).row(0, named=True)
-    assert f'href="view/index.html#time_ns={finding["worst_ns"]}"' in viewed
+    assert f'href="view/index.html#ns={finding["worst_ns"] - 1_000_000_000}"' in viewed
     assert f"istc-replay view RESULT --finding {finding['finding_id']}" in viewed
 
 

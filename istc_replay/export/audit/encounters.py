@@ -46,7 +46,7 @@ def encounters_section(recording: Recording, links: Links) -> Html:
     return join(
         [
             element("h2", "Serious encounters"),
-            element("p", _LINKED) if links.viewed else None,
+            element("p", _LINKED) if links.origin_ns is not None else None,
             shown,
             element("p", more) if rest else None,
         ]

@@ -15,22 +15,23 @@ from istc_replay.export.report.markup import Html, element, join
 class Links:
     """Where the view and the clips are.
 
-    `viewed` says that a bundle of the view may stand beside the report, in the folder `view`;
-    `clips` are paths relative to the report, by the id of an encounter or of a finding.
+    A bundle of the view may stand beside the report, in the folder `view`; `origin_ns` is where its
+    time begins, None where there is no view. `clips` are paths relative to the report, by the id of
+    an encounter or of a finding.
     """
 
-    viewed: bool = False
+    origin_ns: int | None = None
     clips: Mapping[str, Path] = field(default_factory=dict)
 
     def __bool__(self) -> bool:
-        return self.viewed or bool(self.clips)
+        return self.origin_ns is not None or bool(self.clips)
 
     def of(self, finding: dict[str, Any]) -> Html | None:
         """Links of a finding; None where there are none."""
         parts = []
-        if self.viewed:
+        if self.origin_ns is not None:
             command = f"istc-replay view RESULT --finding {finding['finding_id']}"
-            target = f"view/index.html#time_ns={finding['worst_ns']}"
+            target = f"view/index.html#ns={finding['worst_ns'] - self.origin_ns}"
             parts.append(element("a", "view", href=target, title=command))
         clip = self.clips.get(str(finding["encounter_id"])) or self.clips.get(str(finding["finding_id"]))
         if clip is not None:

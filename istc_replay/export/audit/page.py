@@ -64,7 +64,7 @@ def audit_html(audit: Audit, clips: Mapping[str, Path] | None = None) -> str:
         An HTML document that loads nothing and runs nothing; the same audit gives the same text.
     """
     recording = recording_of(audit)
-    links = Links(viewed=audit.of_result, clips=clips or {})
+    links = Links(audit.origin_ns, clips or {})
     single = pl.col("encounter_id").is_null()
     behaviour = audit.findings.filter(pl.col("severity").is_not_null())
     body = [
