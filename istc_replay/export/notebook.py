@@ -11,7 +11,8 @@ import polars as pl
 from istc_replay.comparison.difference import Comparison
 from istc_replay.comparison.words import verdict
 from istc_replay.datatypes import Result
-from istc_replay.export.report.markup import NOTHING, Html, element, join, name, names, number, prose, table
+from istc_replay.export.report.findings import findings_table
+from istc_replay.export.report.markup import Html, element, join, name, number, table
 from istc_replay.export.text import shortened, visible
 
 if TYPE_CHECKING:
@@ -52,7 +53,7 @@ def result_html(result: Result) -> str:
         element("strong", result_text(result)),
         _windows(windows),
         _vehicles(chosen) if chosen else None,
-        _findings(result.findings),
+        _findings(result.findings, min((int(window["start_ns"]) for window in windows), default=0)),
         _pictures(result, chosen) if chosen else None,
     )
 
@@ -71,7 +72,7 @@ def audit_notebook(audit: Audit) -> str:
     share = table("How much was judged, of all vehicles", ("Rule", "judged [s]"), rows, (1,))
     return _box(
         element("strong", audit_text(audit)),
-        _findings(audit.findings),
+        _findings(audit.findings, audit.log.start_ns or 0),
         element("details", element("summary", "How much was judged"), share) if rows else None,
     )
 
@@ -134,22 +135,11 @@ def _vehicles(window: dict[str, Any]) -> Html | None:
     return table(f"Vehicles of window {window['index']}", headings, rows, (1, 2, 3, 4, 5)) if rows else None
 
 
-def _findings(findings: pl.DataFrame) -> Html | None:
+def _findings(findings: pl.DataFrame, start_ns: int) -> Html:
     if findings.is_empty():
         return element("p", "No findings.")
-    order = pl.col("severity").replace_strict({"critical": 0, "serious": 1, "minor": 2}, default=3)
-    rows = [
-        (
-            name(row["severity"] or NOTHING),
-            name(row["rule"] or NOTHING),
-            names(row["vehicles"] or [], 4),
-            join([number(row["value"], 3), " ", row["unit"] or ""]),
-            prose(row["detail"] or ""),
-        )
-        for row in findings.sort(order, "start_ns", maintain_order=True).head(_FINDINGS).iter_rows(named=True)
-    ]
-    more = f", the worst {_FINDINGS} of {findings.height}" if findings.height > _FINDINGS else ""
-    return table(f"Findings{more}", ("Severity", "rule", "vehicles", "value", "detail"), rows)
+    caption = "Findings in what was recorded, worst first; times are from the start"
+    return findings_table(findings, start_ns, caption, _FINDINGS)
 
 
 def _pictures(result: Result, window: dict[str, Any]) -> Html:

@@ -72,7 +72,9 @@ def _side(side: str) -> rrb.Vertical:
     root = f"/{side}"
     tracks = [f"{root}/space_time/{part}/**" for part in ("shared", "planned")]
     tracks += [f"{root}/{part}/**" for part in ("now/square", "now/planned/box", "camera")]
-    above = [f"{root}/now/{part}/**" for part in ("shared", "camera", "planned")]
+    # Without the findings of the recordings: here the plans are compared.
+    shown = ("shared/map", "shared/outlines", "shared/obstacles", "camera", "planned")
+    above = [f"{root}/now/{part}/**" for part in shown]
     name = side.upper()
     return rrb.Vertical(
         rrb.Spatial3DView(

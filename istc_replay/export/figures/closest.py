@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from istc_replay.datatypes import FloatArray
 from istc_replay.export.figures.tracks import Track
@@ -12,6 +13,8 @@ from istc_replay.safety.boxes import box_gap
 
 #: A curve has at most this many points.
 _POINTS = 1000
+#: Distances computed at once.
+_PAIRS_AT_ONCE = 1_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,12 +47,11 @@ def closest_pair(tracks: dict[str, Track], step_s: float | None = None) -> Close
     times_s = times_s[:: len(times_s) // _POINTS + 1]
     poses = np.stack([tracks[name].at(times_s) for name in names])  # (V, T, 3)
     sizes = np.array([(tracks[name].length_m, tracks[name].width_m) for name in names])
-    rows = [_closest(poses[:, step], sizes) for step in range(len(times_s))]
-    gaps = np.array([gap for gap, _, _ in rows])
+    gaps, pairs = _closest(poses, sizes)
     if np.isnan(gaps).all():
         return None
     at = int(np.nanargmin(gaps))
-    _, first, second = rows[at]
+    first, second = pairs[at].tolist()
     place = (poses[first, at, :2] + poses[second, at, :2]) / 2.0
     return ClosestPair(
         times_s,
@@ -61,19 +63,31 @@ def closest_pair(tracks: dict[str, Track], step_s: float | None = None) -> Close
     )
 
 
-def _closest(poses: FloatArray, sizes: FloatArray) -> tuple[float, int, int]:
-    """Least gap and its pair among poses (V, 3); only pairs that can be the closest are measured."""
-    present = np.flatnonzero(np.isfinite(poses).all(axis=1))
-    if len(present) < 2:
-        return float("nan"), -1, -1
-    i, j = np.triu_indices(len(present), k=1)
-    first, second = present[i], present[j]
-    distance = np.hypot(*(poses[first, :2] - poses[second, :2]).T)
+def _closest(poses: FloatArray, sizes: FloatArray) -> tuple[FloatArray, NDArray[np.intp]]:
+    """Least gaps (T,) and their pairs (T, 2) among poses (V, T, 3); NaN where no two are present.
+
+    Only pairs that can be the closest are measured.
+    """
+    i, j = np.triu_indices(len(poses), k=1)
+    times = poses.shape[1]
+    gaps, pairs = np.full(times, np.nan), np.full((times, 2), -1, dtype=np.intp)
     reach = np.hypot(*sizes.T) / 2.0
-    # A gap is at most the distance of the centres and at least that less both half diagonals.
-    near = distance - reach[first] - reach[second] <= distance.min()
-    first, second = first[near], second[near]
-    boxes = np.hstack([poses, sizes])
-    gaps = box_gap(boxes[first], boxes[second])
-    best = int(np.argmin(gaps))
-    return float(gaps[best]), int(first[best]), int(second[best])
+    step = max(_PAIRS_AT_ONCE // len(i), 1)
+    for start in range(0, times, step):
+        block = slice(start, start + step)
+        apart = poses[i, block, :2] - poses[j, block, :2]  # (P, B, 2)
+        distances = np.hypot(apart[..., 0], apart[..., 1])
+        # A gap is at most the distance of the centres and at least that less both half diagonals.
+        nearest = np.fmin.reduce(distances, axis=0)
+        pair, at = np.nonzero(distances - (reach[i] + reach[j])[:, None] <= nearest)
+        boxes = [
+            np.hstack([poses[side[pair], start + at], sizes[side[pair]]])  # (n, 5)
+            for side in (i, j)
+        ]
+        measured = np.full(distances.shape, np.inf)
+        measured[pair, at] = box_gap(*boxes)
+        best = np.argmin(np.where(np.isnan(measured), np.inf, measured), axis=0)
+        least = measured[best, np.arange(len(best))]
+        gaps[block] = np.where(np.isfinite(least), least, np.nan)
+        pairs[block] = np.column_stack([i[best], j[best]])
+    return gaps, pairs

@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.patheffects import withStroke
 
+from istc_replay.datatypes import FloatArray
 from istc_replay.export.figures.closest import ClosestPair
 from istc_replay.export.figures.style import (
     CONTACT,
@@ -34,6 +35,8 @@ _LIMIT: dict[str, Any] = {"linestyle": (0, (7, 2, 1.5, 2)), "linewidth": 0.9, "c
 _OTHERS: dict[str, Any] = {"linestyle": "-", "linewidth": 0.7, "color": GRID, "zorder": 1.0}
 _QUANTITIES = (("speeds_mps", "speed [m/s]"), ("accelerations_mps2", "acceleration [m/s²]"))
 _PANELS, _COLUMNS = 12, 4
+#: Points of a vehicle's line in the background of other vehicles' panels.
+_BACKGROUND_POINTS = 25
 
 
 def speed_pages(scene: WindowScene) -> int:
@@ -81,6 +84,7 @@ def _draw_panels(scene: WindowScene, page: int) -> Figure:
     rows = ceil(len(shown) / _COLUMNS)
     height_in = 2.55 * rows + 0.55
     figure = new_figure(9.9, height_in)
+    backgrounds = {quantity: _background(scene, quantity) for quantity, _ in _QUANTITIES}
     limits = {quantity: _common_range(scene, quantity) for quantity, _ in _QUANTITIES}
     limited = False
     for place, name in enumerate(shown):
@@ -89,7 +93,7 @@ def _draw_panels(scene: WindowScene, page: int) -> Figure:
         for part, (quantity, label) in enumerate(_QUANTITIES):
             left, bottom_in = 0.06 + 0.24 * column, top_in - 0.98 - 1.08 * part
             axes = figure.add_axes((left, bottom_in / height_in, 0.205, 0.98 / height_in))
-            _draw_panel(axes, scene, name, quantity)
+            _draw_panel(axes, scene, name, quantity, backgrounds[quantity])
             axes.set(xlim=(0.0, scene.duration_s), ylim=limits[quantity])
             limited |= _draw_limits(axes, scene, quantity)
             lowest = place + _COLUMNS >= len(shown)
@@ -112,11 +116,18 @@ def _common_range(scene: WindowScene, quantity: str) -> tuple[float, float]:
     return low - margin, high + margin
 
 
-def _draw_panel(axes: Axes, scene: WindowScene, name: str, quantity: str) -> None:
-    basis = scene.planned or scene.recorded
-    for other, track in basis.items():
-        if other != name:
-            axes.plot(*track.with_gaps(getattr(track, quantity)), **_OTHERS)
+def _background(scene: WindowScene, quantity: str) -> FloatArray:
+    """All vehicles' lines as one (P, 2) line with gaps, coarse enough to be drawn in every panel."""
+    parts = []
+    for track in (scene.planned or scene.recorded).values():
+        line = np.column_stack(track.with_gaps(getattr(track, quantity)))
+        thin = np.unique(np.linspace(0, len(line) - 1, _BACKGROUND_POINTS).round().astype(int))
+        parts += [line[thin], np.full((1, 2), np.nan)]
+    return np.concatenate(parts)
+
+
+def _draw_panel(axes: Axes, scene: WindowScene, name: str, quantity: str, background: FloatArray) -> None:
+    axes.plot(*background.T, **_OTHERS)
     if name in scene.recorded:
         _draw_line(axes, scene, name, scene.recorded[name], quantity, _RECORDED, planned=False)
     if name in scene.planned:

@@ -22,8 +22,8 @@ from istc_replay.export.colours import Colour, vehicle_colours
 INK, MUTED, GRID, PAPER = "#1e2329", "#69707a", "#d3d7dc", "#fefefe"
 CONTACT = "#c8321f"
 
-#: Relative luminance of lines at most: three to one against white, and against a dark page as well.
-_LUMINANCE_MAX = 0.25
+#: Relative luminance of lines: three to one against white, and against a dark page as well.
+_LUMINANCE = (0.145, 0.25)
 MARKERS = "os^Dvp<>Ph"
 LABEL_CHARACTERS = 20
 LEGEND_ENTRIES = 12
@@ -111,9 +111,10 @@ def vehicle_styles(vehicle_ids: Iterable[str], excluded: Collection[str] = ()) -
 
 
 def line_colour(colour: Colour) -> str:
-    """Return a colour as #rrggbb, darkened where thin lines of it would be too pale on paper."""
-    factor = min(_LUMINANCE_MAX / relative_luminance(colour), 1.0) if any(colour) else 1.0
-    channels = (round(255.0 * _encoded(factor * _linear(value))) for value in colour)
+    """Return a colour as #rrggbb, darker or lighter where thin lines of it would be lost on a page."""
+    luminance = max(relative_luminance(colour), 1e-6)
+    factor = min(max(luminance, _LUMINANCE[0]), _LUMINANCE[1]) / luminance
+    channels = (round(255.0 * _encoded(min(factor * _linear(value), 1.0))) for value in colour)
     return "#" + "".join(f"{channel:02x}" for channel in channels)
 
 
