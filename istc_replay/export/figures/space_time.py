@@ -137,7 +137,8 @@ def _draw_own_corridor(figure: Figure, place: Place, scene: WindowScene, name: s
         if name in tracks
     ]
     inner = (left + 0.16 * width, bottom + 0.14 * height, 0.66 * width, 0.77 * height)
-    axes = _space_time_axes(figure, inner, scene, [shape], [line[:, :2] for line, _, _ in lines])
+    span_s = (float(shape.knots_s[0]), float(shape.knots_s[-1]))
+    axes = _space_time_axes(figure, inner, scene, [shape], [line[:, :2] for line, _, _ in lines], span_s)
     _draw_prisms(axes, [(style, shape)], ())
     for line, look, colour in lines:
         axes.plot(*line.T, color=colour, zorder=4, **look)
@@ -162,8 +163,13 @@ def _space_time_axes(
     scene: WindowScene,
     shapes: Iterable[CorridorShape],
     points: Iterable[FloatArray] = (),
+    span_s: tuple[float, float] | None = None,
 ) -> Any:
-    """Make (x, y, t) axes whose box fills a place of the figure, seen from where paths are longest."""
+    """Make (x, y, t) axes whose box fills a place of the figure, seen from where paths are longest.
+
+    They hold the whole window if no span is given.
+    """
+    begin_s, end_s = span_s or (0.0, scene.duration_s)
     shapes = list(shapes)
     corners = np.concatenate([shape.outlines_m.reshape(-1, 2) for shape in shapes] + list(points))
     low, high = corners.min(axis=0), corners.max(axis=0)
@@ -172,11 +178,11 @@ def _space_time_axes(
     low, high = low - padding, high + padding
     size = high - low
     scale = scene.config.view.metres_per_second or _METRES_PER_SECOND
-    height_m = float(np.clip(scene.duration_s * scale, 0.7 * size.max(), size.max()))
+    height_m = float(np.clip((end_s - begin_s) * scale, 0.7 * size.max(), size.max()))
     axes: Any = figure.add_axes((0.0, 0.0, 1.0, 1.0), projection=Axes3D.name, computed_zorder=False)
-    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(0.0, scene.duration_s))
+    axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), zlim=(begin_s, end_s))
     axes.set_box_aspect((*size, height_m))
-    axes.view_init(elev=_ELEVATION_DEG, azim=_best_azimuth_deg(shapes, height_m / scene.duration_s))
+    axes.view_init(elev=_ELEVATION_DEG, azim=_best_azimuth_deg(shapes, height_m / (end_s - begin_s)))
     for axis, name in ((axes.xaxis, "x [m]"), (axes.yaxis, "y [m]"), (axes.zaxis, "t [s]")):
         axis.set_pane_color((1.0, 1.0, 1.0, 0.0))
         axis.set_label_text(name)

@@ -23,7 +23,7 @@ INK, MUTED, GRID, PAPER = "#1e2329", "#69707a", "#d3d7dc", "#fefefe"
 CONTACT = "#c8321f"
 
 #: Relative luminance of lines: three to one against white, and against a dark page as well.
-_LUMINANCE = (0.145, 0.25)
+_LUMINANCE = (0.175, 0.25)
 MARKERS = "os^Dvp<>Ph"
 LABEL_CHARACTERS = 20
 LEGEND_ENTRIES = 12

@@ -64,7 +64,8 @@ td span,th span{{white-space:nowrap}}
 figure{{margin:1.25rem 0;break-inside:avoid}}
 figure svg{{display:block;width:100%;height:auto;font-family:system-ui,sans-serif}}
 figure svg *{{stroke-linejoin:round;stroke-linecap:butt}}
-@media screen and (max-width:44rem){{body{{padding:1rem 1rem 3rem}}figure svg{{min-width:44rem}}}}
+@media screen and (max-width:44rem){{body{{padding:1rem 1rem 3rem}}figure svg{{min-width:44rem}}
+caption{{position:sticky;left:0;max-width:calc(100vw - 2rem)}}}}
 figcaption{{color:var(--muted);font-size:.875rem;margin-top:.3rem}}
 details{{margin:.75rem 0;border-top:1px solid var(--grid);padding-top:.5rem}}
 summary{{cursor:pointer;font-weight:600}}
@@ -72,6 +73,7 @@ pre{{white-space:pre-wrap;background:var(--card);padding:.75rem 1rem;font-size:.
 section.window{{border-top:2px solid var(--grid);margin-top:2.5rem}}
 @media print{{:root{{color-scheme:light;{_LIGHT}}}body{{max-width:none;padding:0;font-size:11pt}}
 .wide{{overflow:visible}}table{{font-size:8pt}}thead th,.n,td span{{white-space:normal}}
+th,td,thead th,.name{{overflow-wrap:anywhere}}
 tr{{break-inside:avoid}}h2,h3{{break-after:avoid}}}}
 """
 

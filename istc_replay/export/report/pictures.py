@@ -24,7 +24,7 @@ _CAPTIONS = {
     "corridors": "Corridors of all vehicles in space-time. A prism is one corridor-cube: the area that one "
     "vehicle has to itself for one time unit. Markers are the pivotal points.",
     "own_corridors": "Each vehicle's own corridor with its planned trajectory inside, and its box at the "
-    "boundaries of the time units. Each panel is turned so that its path is seen best.",
+    "boundaries of the time units. Each panel has its own span, turned so that its path is seen best.",
     "top_down": "Trajectories from above as recorded, and beside or below that as planned; what has no plan "
     "stays dashed. Ticks mark whole seconds from the window's start. Boxes stand at the instant at which the "
     "recording brings two of them closest; a ring marks the place if they are less than 4 m apart.",
