@@ -111,9 +111,12 @@ class Gatherer:
             "child": states.children,
             "role": states.roles,
         }
-        numbers = {name: np.where(states.known[name], v, np.nan) for name, v in states.numbers.items()}
+        numbers = {
+            name: values if states.known[name].all() else np.where(states.known[name], values, np.nan)
+            for name, values in states.numbers.items()
+        }
         for name, column in numbers.items():
-            self._finite(name, column, states.known[name], vehicles, topics, offsets)
+            numbers[name] = self._finite(name, column, states.known[name], vehicles, topics, offsets)
         block = Block(whole, numbers, format_.name, format_.family, rank)
         return block if len(keep) == len(rows) else block.only(keep)
 
@@ -203,11 +206,11 @@ class Gatherer:
 
     def _finite(
         self, name: str, column: Floats, known: Mask, vehicles: Ints, topics: Ints, offsets: Ints
-    ) -> None:
-        """Take what is not finite as unknown, and tell it."""
+    ) -> Floats:
+        """Take what is not finite as unknown, and tell it; returns the column so."""
         wrong = np.flatnonzero(~np.isfinite(column) & known)
         if not len(wrong):
-            return
+            return column
         texts = self._names.texts
         for count, row in enumerate(wrong[:_TOLD].tolist()):
             topic = texts[topics[row]]
@@ -215,4 +218,6 @@ class Gatherer:
             detail = f"{name} of vehicle {vehicle} on {quoted(topic)} is {column[row]}; taken as unknown"
             times = len(wrong) - _TOLD + 1 if count == _TOLD - 1 else 1
             self._problems.add("not_finite", detail, int(offsets[row]), topic, times)
+        column = column.copy()  # it may be a view of what was decoded
         column[wrong] = np.nan
+        return column

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from istc_replay.ingest.batches import distinct
 from istc_replay.ingest.columns import Block, Ints
 from istc_replay.ingest.meaning import GENERIC_FRAMES, Floats, Names
 from istc_replay.ingest.problems import Problems, quoted
@@ -75,11 +76,14 @@ _POSE = ("x_m", "y_m", "heading_rad")
 def to_root(block: Block, tree: TransformTree) -> None:
     """Move a block's poses from their frames into the roots of their trees, in place."""
     frames = block.whole["frame"]
-    for frame in np.unique(frames).tolist():
+    for frame in distinct(frames)[0].tolist():
         chain = tree.chain(frame) if frame >= 0 else []
         if not chain:
             continue
         rows = np.flatnonzero(frames == frame)
+        for name in _POSE:
+            if name in block.numbers:  # which may be a view of what was decoded
+                block.numbers[name] = block.numbers[name].copy()
         for child in chain:
             pose = tree.poses(child, block.whole["time_ns"][rows])
             along, across = np.cos(pose[:, 2]), np.sin(pose[:, 2])
@@ -93,7 +97,7 @@ def to_root(block: Block, tree: TransformTree) -> None:
 
 def check_frames(blocks: list[Block], names: Names, problems: Problems) -> None:
     """Tell where states stand in several frames that no transforms join."""
-    found = {code for block in blocks for code in np.unique(block.whole["frame"]).tolist() if code >= 0}
+    found = {code for block in blocks for code in distinct(block.whole["frame"])[0].tolist() if code >= 0}
     if len(found) > 1:
         told = sorted(names.texts[code] for code in found)
         listed = ", ".join(quoted(frame) for frame in told[:5])

@@ -218,9 +218,10 @@ def _columns(node: Node, value: Any, table: pl.DataFrame) -> Iterator[tuple[str,
 def _column_of(column: pl.Series) -> Column:
     valid = column.is_not_null().to_numpy() if column.null_count() else None
     if column.dtype == pl.String:
-        codes: dict[Any, int] = {}
-        own = [codes.setdefault(text or "", len(codes)) for text in column.to_list()]
-        return Column(np.array(own, np.int64), valid, list(codes))
+        told = column.fill_null("")
+        texts = told.unique()
+        codes = told.cast(pl.Enum(texts)).to_physical().to_numpy()
+        return Column(codes.astype(np.int64), valid, texts.to_list())
     if valid is not None:
         column = column.fill_null(0 if column.dtype == pl.Int64 else 0.0)
     return Column(column.to_numpy(), valid)

@@ -191,15 +191,20 @@ class Meaning:
         self, columns: dict[str, Column], numbers: dict[str, Floats], known: dict[str, NDArray[np.bool_]]
     ) -> None:
         """Components along the heading of vectors of the map frame."""
-        for name, target in (("velocity", "speed_mps"), ("acceleration", "acceleration_mps2")):
-            if f"{name}.x" not in columns or "heading_rad" not in numbers:
-                continue
-            heading = numbers["heading_rad"]
+        vectors = (("velocity", "speed_mps"), ("acceleration", "acceleration_mps2"))
+        told = [(name, target) for name, target in vectors if f"{name}.x" in columns]
+        if not told or "heading_rad" not in numbers:
+            return
+        heading = numbers["heading_rad"]
+        with np.errstate(all="ignore"):
+            along, across = np.cos(heading), np.sin(heading)
+        turned = known["heading_rad"] & np.isfinite(heading)
+        for name, target in told:
             x, valid = number(columns, f"{name}.x", len(heading))
             y, _ = number(columns, f"{name}.y", len(heading))
             with np.errstate(all="ignore"):
-                numbers[target] = x * np.cos(heading) + y * np.sin(heading)
-            known[target] = valid & known["heading_rad"] & np.isfinite(heading)
+                numbers[target] = x * along + y * across
+            known[target] = valid & turned
 
     def _positions(
         self, columns: dict[str, Column], numbers: dict[str, Floats], known: dict[str, NDArray[np.bool_]]

@@ -14,6 +14,10 @@ _FEW = 8
 _VARINT_LIMIT = 10
 #: Fields of a message that is scanned alone; one that has more is damaged.
 FIELDS_LIMIT = 200_000
+#: Outlines tried for messages of one size, sizes for which they are tried, fields of an outline.
+_OUTLINES, _SIZES, _OUTLINED = 3, 32, 64
+#: Rows, tags, starts and ends of fields.
+_Places = tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]
 
 
 class Spans(NamedTuple):
@@ -45,10 +49,10 @@ def scan(data: Bytes, spans: Spans, wanted: set[int]) -> tuple[dict[int, Spans],
     array
         Rows of the messages that are damaged; what stands before the damage is given.
     """
-    found: dict[int, list[tuple[Ints, Ints, Ints, Ints]]] = {number: [] for number in wanted}
+    found: dict[int, list[_Places]] = {number: [] for number in wanted}
     broken: list[Ints] = []
     position = spans.starts.copy()
-    active = np.flatnonzero(position < spans.ends)
+    active = _by_outlines(data, spans, np.flatnonzero(position < spans.ends), found)
     while len(active) > _FEW:
         tags, ends = position[active], spans.ends[active]
         tag, size = varints(data, tags)
@@ -82,6 +86,78 @@ def scan(data: Bytes, spans: Spans, wanted: set[int]) -> tuple[dict[int, Spans],
         if not whole:
             broken.append(row)
     return {one: _in_order(places) for one, places in found.items()}, _concatenated(broken)
+
+
+def _by_outlines(data: Bytes, spans: Spans, rows: Ints, found: dict[int, list[_Places]]) -> Ints:
+    """Find the fields of messages that are built as another of their size; returns the rows that are left.
+
+    Where one message's tags and lengths are known, all messages of its size with the same bytes in
+    these places have their fields in the same places.
+    """
+    sizes = spans.ends[rows] - spans.starts[rows]
+    kinds, own, counts = np.unique(sizes, return_inverse=True, return_counts=True)
+    left = [rows[counts[own] <= _FEW]]
+    many = np.flatnonzero(counts > _FEW).tolist()
+    for kind in many:
+        pending = rows[own == kind]
+        for _ in range(_OUTLINES if len(many) <= _SIZES else 0):
+            outline = _outline(data, int(spans.starts[pending[0]]), int(kinds[kind]))
+            if outline is None:
+                break
+            fits = outline.fits(data, spans.starts[pending])
+            outline.give(spans, pending[fits], found)
+            pending = pending[~fits]
+            if len(pending) <= _FEW:
+                break
+        left.append(pending)
+    return np.sort(np.concatenate(left))
+
+
+class _Outline(NamedTuple):
+    """Where the fields of a message are, from its start, and the bytes that decide it."""
+
+    fields: list[tuple[int, int, int, int]]  # number, tag, start, end
+    places: Ints
+    masks: Bytes
+    expected: Bytes
+
+    def fits(self, data: Bytes, starts: Ints) -> NDArray[np.bool_]:
+        """Tell which messages have the same deciding bytes."""
+        fits = np.ones(len(starts), np.bool_)
+        for place, mask, expected in zip(self.places.tolist(), self.masks, self.expected, strict=True):
+            fits &= (data[starts + place] & mask) == expected
+        return fits
+
+    def give(self, spans: Spans, rows: Ints, found: dict[int, list[_Places]]) -> None:
+        """Add the places of the wanted fields in these messages."""
+        for number, places in found.items():
+            own = np.array([field[1:] for field in self.fields if field[0] == number], np.int64)
+            if len(own) and len(rows):
+                at = (spans.starts[rows][:, None, None] + own).reshape(-1, 3)  # (rows * fields, 3)
+                places.append((np.repeat(spans.rows[rows], len(own)), at[:, 0], at[:, 1], at[:, 2]))
+
+
+def _outline(data: Bytes, start: int, size: int) -> _Outline | None:
+    """Make the outline of one message; None if it is damaged or has many fields."""
+    raw = data[start : start + size + 16].tobytes()
+    fields: list[tuple[int, int, int, int]] = []
+    places: list[int] = []
+    masks: list[int] = []
+    position = 0
+    while position < size:
+        number, wire, value, after = next_field(raw, position, size)
+        if after < 0 or len(fields) >= _OUTLINED:
+            return None
+        fields.append((number, position, value, after))
+        deciding = range(position, value)
+        places += deciding
+        masks += [0xFF] * len(deciding)
+        if wire == 0:  # where a varint ends
+            places += range(value, after)
+            masks += [0x80] * (after - value)
+        position = after
+    mask = np.array(masks, np.uint8)
+    return _Outline(fields, np.array(places, np.int64), mask, data[start:][places] & mask)
 
 
 def varints(data: Bytes, positions: Ints) -> tuple[NDArray[np.uint64], Ints]:
@@ -147,7 +223,7 @@ def _one(data: bytes, end: int, wanted: set[int]) -> tuple[dict[int, list[tuple[
     return found, True
 
 
-def _in_order(places: list[tuple[Ints, Ints, Ints, Ints]]) -> Spans:
+def _in_order(places: list[_Places]) -> Spans:
     rows, tags, starts, ends = (_concatenated([place[k] for place in places]) for k in range(4))
     if not (np.diff(tags) < 0).any():
         return Spans(rows, tags, starts, ends)
