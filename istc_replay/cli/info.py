@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import click
@@ -27,7 +26,7 @@ def info(log: Path, as_json: bool, config_path: Path | None) -> int:
     read = read_log(log, load_config(config_path))
     facts = tell.log_facts(read)
     if as_json:
-        click.echo(json.dumps(facts, indent=1))
+        click.echo("\n".join(tell.json_lines(facts)))
     else:
         print_lines(tell.info_lines(facts))
     return 0 if read.complete else 3

@@ -59,6 +59,7 @@ class Gatherer:
     def __init__(self, time_source: str, limit: int, problems: Problems, names: Names) -> None:
         self._time_source = time_source
         self._left, self._limit, self._full = limit, limit, False
+        self._items = 2 * limit  # with those that are no states
         self._problems, self._names = problems, names
         self._pairs: dict[tuple[int, int], int] = {}
 
@@ -93,6 +94,11 @@ class Gatherer:
         offsets = payloads.offsets[rows]
         self._tell(nameless & ~wild, topics, offsets)
         keep = np.flatnonzero(~wild & ~nameless)
+        self._items -= len(rows)
+        if self._items < 0 and not self._full:
+            detail = f"more than {2 * self._limit} items in a file of this size; the rest is left out"
+            self._problems.lose("too_many_states", detail, int(offsets[-1]))
+            self._full = True
         if len(keep) > self._left:
             detail = f"more than {self._limit} states in a file of this size; the rest is left out"
             self._problems.lose("too_many_states", detail, int(offsets[keep[self._left]]))

@@ -12,7 +12,7 @@ from istc_replay.ingest.channels import Format, recognise
 from istc_replay.ingest.columns import Block, Gatherer, Payloads
 from istc_replay.ingest.istc import SceneReader
 from istc_replay.ingest.meaning import Names
-from istc_replay.ingest.payload import PAYLOAD_LIMIT, PayloadError
+from istc_replay.ingest.payload import PAYLOAD_LIMIT, Budget, PayloadError, TooManyItemsError
 from istc_replay.ingest.problems import Problems, quoted
 from istc_replay.ingest.readers import Reader, Readers
 from istc_replay.ingest.records import Channel
@@ -66,7 +66,7 @@ class Decoding:
         self.refused: dict[Channel, str] = {}
         self._config = config
         self._problems = problems
-        self._readers = Readers(problems, self.names, self.parts)
+        self._readers = Readers(problems, self.names, self.parts, Budget(file_size))
         limit = _STATES_FLOOR + file_size // 2
         self._gatherer = Gatherer(config.ingest.time_source, limit, problems, self.names)
         self._groups: list[_Group] = []
@@ -163,9 +163,35 @@ class Decoding:
             elif group.scene is not None:
                 self._read_scenes(group.scene, data, starts, ends, rows, payloads)
             elif group.reader is not None and not self._gatherer.full:
-                block = self._block(group, group.reader, data, starts[rows], ends[rows], payloads, rows)
-                blocks.append(block)
+                blocks += self._blocks(group, group.reader, data, starts[rows], ends[rows], payloads, rows)
         return [block for block in blocks if len(block.whole["ordinal"])]
+
+    def _blocks(
+        self,
+        group: _Group,
+        reader: Reader,
+        data: Bytes,
+        starts: Ints,
+        ends: Ints,
+        payloads: Payloads,
+        rows: Ints,
+    ) -> list[Block]:
+        """Decode payloads, in parts where they hold too many items for once."""
+        if self._gatherer.full:
+            return []
+        try:
+            return [self._block(group, reader, data, starts, ends, payloads, rows)]
+        except TooManyItemsError as error:
+            if len(rows) == 1:
+                self._tell(PayloadError("it has too many items"), payloads, int(rows[0]))
+                return []
+            few = min(error.rows, len(rows) - 1)
+            parts = [slice(first, first + few) for first in range(0, len(rows), few)]
+            return [
+                block
+                for part in parts
+                for block in self._blocks(group, reader, data, starts[part], ends[part], payloads, rows[part])
+            ]
 
     def _block(
         self,

@@ -8,17 +8,21 @@ from istc_replay.ingest.summary import Summary
 
 #: Bytes of schemas and channels held at once.
 _LIMIT = 128 * 2**20
+#: Declarations that are read in a file, and one more for so many of its bytes.
+_COUNT_FLOOR, _BYTES_EACH = 140_000, 64
 
 
 class Definitions:
     """Schemas and channels by id; those of the summary stand in until the data declare them."""
 
-    def __init__(self, problems: Problems, summary: Summary) -> None:
+    def __init__(self, problems: Problems, summary: Summary, file_size: int) -> None:
         self.channels: dict[int, Channel] = dict(summary.channels)
         self._schemas: dict[int, Schema] = dict(summary.schemas)
         self._declared: set[tuple[int, int]] = set()
         self._problems = problems
         self._held = 0
+        self._left = _COUNT_FLOOR + file_size // _BYTES_EACH
+        self._same: dict[tuple[int, int], int] = {}  # hashes of what was declared last, by kind and id
 
     def declare(self, opcode: int, fields: Fields, offset: int) -> None:
         """Take in a schema or channel record; the latest declaration of an id holds.
@@ -28,17 +32,28 @@ class Definitions:
         MalformedRecordError
             If its fields run past its end.
         """
+        if self._left < 0:
+            self._refuse(offset)
+            return
         size = fields.end - fields.position
+        raw = bytes(fields.buffer[fields.position : fields.end])
+        key, known = (opcode, int.from_bytes(raw[:2], "little")), hash(raw)
+        if self._same.get(key) == known:
+            return
+        self._left -= 1
         if self._held + size > _LIMIT:
-            self._problems.lose(
-                "too_many_definitions", "the schemas and channels are too long to be held", offset
-            )
+            self._refuse(offset)
             return
         new = self._schema(fields, offset) if opcode == Opcode.SCHEMA else self._channel(fields, offset)
+        self._same[key] = known
         if new:
             self._held += size
         if fields.replaced:
             self._problems.add("not_utf8", "a name in a schema or channel is not UTF-8", offset)
+
+    def _refuse(self, offset: int) -> None:
+        detail = "more schemas and channels than a file of this size may hold"
+        self._problems.lose("too_many_definitions", detail, offset)
 
     def _schema(self, fields: Fields, offset: int) -> bool:
         schema_id, schema = parse_schema(fields)

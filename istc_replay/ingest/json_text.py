@@ -11,7 +11,7 @@ import polars as pl
 
 from istc_replay.ingest.batches import Bytes, Ints
 from istc_replay.ingest.layout import Column, Decoded
-from istc_replay.ingest.payload import PayloadError
+from istc_replay.ingest.payload import ITEMS_AT_ONCE, PayloadError, TooManyItemsError
 from istc_replay.ingest.wanted import Mapping, Node, tree
 
 #: Brackets in one payload that the fast reader is given: how deeply it may nest is not known.
@@ -77,6 +77,8 @@ class JsonDecoder:
                 continue
             rows += [row] * len(items)
             found += items
+            if len(found) > ITEMS_AT_ONCE and len(payloads) > 1:
+                raise TooManyItemsError(max(row, 1))
         names = sorted({name for item in found for name in item})
         columns = {name: _column([item.get(name) for item in found]) for name in names}
         return Decoded(np.array(rows, np.int64), columns, bad)

@@ -16,12 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from istc_replay.ingest.batches import Bytes, Ints, rows
-from istc_replay.ingest.payload import PayloadError
+from istc_replay.ingest.payload import ITEMS_AT_ONCE, PayloadError, TooManyItemsError
 
 #: A leaf that the payload leaves out: unknown, or zero by the rule of its encoding.
 NULL, ZERO = -1, -2
 #: Layouts that are kept, and tried on a payload of their size.
 _KEPT = 256
+#: Items of all layouts that are kept.
+_KEPT_ITEMS = 50_000
 _WORD = 8
 #: Mixes the words of a text into a hash.
 _FACTOR = np.uint64(0x9E3779B97F4A7C15)
@@ -107,7 +109,7 @@ class Decoder:
         self._parse = parse
         self._kinds = kinds
         self._known: dict[int, list[_Compiled]] = {}
-        self._count = 0
+        self._count = self._weight = 0
 
     def decode(self, data: Bytes, starts: Ints, ends: Ints) -> Decoded:
         """Decode the payloads that these spans of data hold; data must go on for 16 bytes after."""
@@ -134,10 +136,12 @@ class Decoder:
         return joined_parts(parts, bad, self._kinds)
 
     def _keep(self, size: int, compiled: _Compiled) -> None:
-        if self._count >= _KEPT:
-            self._known, self._count = {}, 0
-        self._known.setdefault(size, []).append(compiled)
+        weight = max(len(compiled.layout.items), 1)
         self._count += 1
+        self._weight += weight
+        if self._count > _KEPT or self._weight > _KEPT_ITEMS:
+            self._known, self._count, self._weight = {}, 1, weight
+        self._known.setdefault(size, []).append(compiled)
 
     def _by(
         self,
@@ -157,6 +161,8 @@ class Decoder:
         layout = compiled.layout
         if len(taken) and layout.items:
             count = len(layout.items)
+            if count * len(taken) > ITEMS_AT_ONCE and len(starts) > 1:
+                raise TooManyItemsError(max(ITEMS_AT_ONCE // count, 1))
             columns = {
                 name: _column(table, [item.get(name, Leaf(kind)) for item in layout.items])
                 for name, kind in self._kinds.items()

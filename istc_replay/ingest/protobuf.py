@@ -11,7 +11,7 @@ from google.protobuf.message import DecodeError, EncodeError
 
 from istc_replay.ingest.batches import Bytes, Ints
 from istc_replay.ingest.layout import NULL, ZERO, Column, Decoded, Decoder, Layout, Leaf, joined_parts, take
-from istc_replay.ingest.payload import PayloadError
+from istc_replay.ingest.payload import ITEMS_AT_ONCE, Budget, PayloadError, TooManyItemsError, TooMuchError
 from istc_replay.ingest.scan import FIELDS_LIMIT, Spans, next_field, scan
 from istc_replay.ingest.wanted import Mapping, Node, check_found, missing, tree
 
@@ -43,10 +43,6 @@ _ITEMS = 20_000
 _FOREIGN = (AttributeError, KeyError, TypeError, ValueError)
 
 
-class _TooManyError(PayloadError):
-    """A message has more items than are decoded; written in another way, it has as many."""
-
-
 @dataclass(slots=True)
 class _Plan:
     """What to do with the fields of one message, by number."""
@@ -64,8 +60,9 @@ class ProtobufDecoder:
     layout of another differ.
     """
 
-    def __init__(self, type_: Any, mapping: Mapping) -> None:
+    def __init__(self, type_: Any, mapping: Mapping, budget: Budget) -> None:
         self._type = type_
+        self._budget = budget
         self._mapping = mapping
         self._zero = mapping.absent_is_zero
         self._watched: tuple[int, Callable[[Bytes, Spans], None]] | None = None
@@ -104,7 +101,7 @@ class ProtobufDecoder:
         kinds: dict[str, str] = {}
         plan = self._plan(descriptor, node, kinds)
         self.kinds.update(kinds)
-        return Decoder(lambda payload: _parse(payload, plan), kinds)
+        return Decoder(lambda payload: _parse(payload, plan, self._budget), kinds)
 
     def _plan(self, descriptor: Any, node: Node, kinds: dict[str, str]) -> _Plan:
         plan = _Plan()
@@ -144,7 +141,7 @@ class ProtobufDecoder:
         parts = [(decoded.rows, decoded.columns)]
         bad: list[tuple[int, PayloadError]] = []
         for row, error in decoded.bad:
-            if isinstance(error, _TooManyError):
+            if isinstance(error, TooMuchError):
                 bad.append((row, error))
                 continue
             try:
@@ -184,12 +181,13 @@ class ProtobufDecoder:
         for depth, number in enumerate(self._way):
             wanted = self._header.get(depth, {})
             watched = self._watched if depth == len(self._way) - 1 else None
-            found, broken = scan(data, spans, {number, *wanted, *([watched[0]] if watched else [])})
+            numbers = {number, *wanted, *([watched[0]] if watched else [])}
+            found, broken = scan(data, spans, numbers, self._budget)
             if watched:
                 watched[1](data, found[watched[0]])
             for row in broken.tolist():
                 # So long a one may have too many fields for the reference library as well.
-                kind = _TooManyError if ends[row] - starts[row] > 2 * FIELDS_LIMIT else PayloadError
+                kind = TooMuchError if ends[row] - starts[row] > 2 * FIELDS_LIMIT else PayloadError
                 bad[row] = kind("a field of it is damaged, or there are too many")
             for other, decoder in wanted.items():
                 header |= _header(data, found[other], decoder, len(starts), bad)
@@ -198,9 +196,11 @@ class ProtobufDecoder:
                 bad |= _twice(spans.rows)
         many = np.flatnonzero(np.bincount(spans.rows, minlength=1) > _ITEMS)
         if len(many):
-            bad |= {row: _TooManyError(f"it has more than {_ITEMS} items") for row in many.tolist()}
+            bad |= {row: TooMuchError(f"it has more than {_ITEMS} items") for row in many.tolist()}
             few = ~np.isin(spans.rows, many)
             spans = Spans(*(column[few] for column in spans))
+        if len(spans.rows) > ITEMS_AT_ONCE and len(starts) > 1:
+            raise TooManyItemsError(max(ITEMS_AT_ONCE * len(starts) // len(spans.rows), 1))
         items = self._items.decode(data, spans.starts, spans.ends)
         bad |= {int(spans.rows[row]): error for row, error in items.bad}
         rows = spans.rows[items.rows]
@@ -248,10 +248,14 @@ def _spread(declared: Any, node: Node) -> Node:
     return spread
 
 
-def _parse(payload: bytes, plan: _Plan) -> Layout:
+def _parse(payload: bytes, plan: _Plan, budget: Budget) -> Layout:
+    budget.check()
     layout = Layout(len(payload))
     leaves: dict[str, Leaf] = {}
-    _parse_message(payload, 0, len(payload), plan, layout, leaves)
+    try:
+        _parse_message(payload, 0, len(payload), plan, layout, leaves)
+    finally:
+        budget.spend(len(layout.fixed) + 1)
     layout.items = [leaves]
     return layout
 

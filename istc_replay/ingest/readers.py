@@ -16,7 +16,7 @@ from istc_replay.ingest.layout import Column, Decoded, take
 from istc_replay.ingest.meaning import ROLES, Meaning, Names, number, whole
 from istc_replay.ingest.odometry import DEFINITION
 from istc_replay.ingest.osi import StandingObjects, message_type, roles_by_number
-from istc_replay.ingest.payload import PayloadError
+from istc_replay.ingest.payload import Budget, PayloadError
 from istc_replay.ingest.places import LocalFrame
 from istc_replay.ingest.problems import Problems
 from istc_replay.ingest.protobuf import ProtobufDecoder
@@ -54,7 +54,8 @@ class Reader:
 class Readers:
     """Makes readers for one log."""
 
-    def __init__(self, problems: Problems, names: Names, parts: SceneParts) -> None:
+    def __init__(self, problems: Problems, names: Names, parts: SceneParts, budget: Budget) -> None:
+        self._budget = budget
         self._problems, self._names, self._parts = problems, names, parts
         self._places = LocalFrame(problems)
 
@@ -73,10 +74,14 @@ class Readers:
             raise PayloadError("it needs a schema", "schema")
         if format_.family == "istc":
             meaning.zero_is_unset, meaning.roles = _SIZES, _told_roles
-            return Reader(ProtobufDecoder(message("VehicleState"), format_.mapping), meaning, self._recorded)
+            return Reader(
+                ProtobufDecoder(message("VehicleState"), format_.mapping, self._budget),
+                meaning,
+                self._recorded,
+            )
         if format_.message_encoding == "protobuf":
             type_ = message_type(schema)
-            decoder = ProtobufDecoder(type_, format_.mapping)
+            decoder = ProtobufDecoder(type_, format_.mapping, self._budget)
             if format_.family == "osi":
                 meaning.zero_is_unset, meaning.roles = _SIZES, roles_by_number(type_, format_.mapping.items)
                 decoder.watch("stationary_object", StandingObjects(type_, self._parts, self._problems).read)
@@ -92,7 +97,7 @@ class Readers:
         text = schema.data.strip()
         if not text and format_.name == "nav_msgs/msg/Odometry":
             text = DEFINITION  # some recorders leave it out
-        decoder = ros_decoder(parse_definition(text, ros1), format_.mapping, ros1)
+        decoder = ros_decoder(parse_definition(text, ros1), format_.mapping, ros1, self._budget)
         if format_.family != "autoware":
             return Reader(decoder, meaning)
         meaning.zero_is_unset, meaning.roles = _SIZES, _autoware_roles

@@ -6,7 +6,7 @@ import struct
 
 from istc_replay.ingest.definition import PLAIN, Member, Types
 from istc_replay.ingest.layout import Decoder, Layout, Leaf
-from istc_replay.ingest.payload import PayloadError
+from istc_replay.ingest.payload import Budget, PayloadError
 from istc_replay.ingest.wanted import Mapping, Node, check_found, missing, tree
 
 #: Parts of one payload, and levels of types in types, that are parsed.
@@ -14,7 +14,7 @@ _PARTS = 50_000
 _DEPTH = 24
 
 
-def ros_decoder(types: Types, mapping: Mapping, ros1: bool) -> Decoder:
+def ros_decoder(types: Types, mapping: Mapping, ros1: bool, budget: Budget) -> Decoder:
     """Make a decoder of payloads by their definition.
 
     Raises
@@ -28,7 +28,16 @@ def ros_decoder(types: Types, mapping: Mapping, ros1: bool) -> Decoder:
     check_found(mapping, kinds)
     flat = _flat_types(types)
     many = bool(mapping.items)
-    return Decoder(lambda payload: _Payload(types, flat, payload, ros1).layout(root, many), kinds)
+
+    def parse(payload: bytes) -> Layout:
+        budget.check()
+        reading = _Payload(types, flat, payload, ros1)
+        try:
+            return reading.layout(root, many)
+        finally:
+            budget.spend(3 * reading.parts)  # each costs as much as three of protobuf's
+
+    return Decoder(parse, kinds)
 
 
 def _flat_types(types: Types) -> dict[str, int]:
@@ -105,6 +114,11 @@ class _Payload:
         self._order, self._position, self._base = "<", 0, 0
         self._left = _PARTS
         self._header: dict[str, Leaf] = {}
+
+    @property
+    def parts(self) -> int:
+        """How many parts were parsed."""
+        return _PARTS - self._left
 
     def layout(self, root: Node, items: bool) -> Layout:
         if not self._ros1:

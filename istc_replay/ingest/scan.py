@@ -8,12 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from istc_replay.ingest.batches import Bytes, Ints
+from istc_replay.ingest.payload import ITEMS_AT_ONCE, Budget, TooManyItemsError
 
+#: Fields of all messages that are scanned at once.
+_STEPS = 4 * ITEMS_AT_ONCE
 #: Fewer messages than this are scanned one by one: steps over few cost as much as over many.
-_FEW = 8
+_FEW = 64
 _VARINT_LIMIT = 10
 #: Fields of a message that is scanned alone; one that has more is damaged.
-FIELDS_LIMIT = 200_000
+FIELDS_LIMIT = 50_000
 #: Outlines tried for messages of one size, sizes for which they are tried, fields of an outline.
 _OUTLINES, _SIZES, _OUTLINED = 3, 32, 64
 #: Rows, tags, starts and ends of fields.
@@ -29,7 +32,7 @@ class Spans(NamedTuple):
     ends: Ints
 
 
-def scan(data: Bytes, spans: Spans, wanted: set[int]) -> tuple[dict[int, Spans], Ints]:
+def scan(data: Bytes, spans: Spans, wanted: set[int], budget: Budget) -> tuple[dict[int, Spans], Ints]:
     """Find the wanted fields of the messages in spans.
 
     Parameters
@@ -40,6 +43,8 @@ def scan(data: Bytes, spans: Spans, wanted: set[int]) -> tuple[dict[int, Spans],
         One message each, in the order of the buffer.
     wanted : set of int
         Field numbers.
+    budget : Budget
+        What may be scanned one by one.
 
     Returns
     -------
@@ -47,12 +52,19 @@ def scan(data: Bytes, spans: Spans, wanted: set[int]) -> tuple[dict[int, Spans],
         By number, the fields in the order of the buffer: the value without its length, and the
         rows of the messages that hold it.
     array
-        Rows of the messages that are damaged; what stands before the damage is given.
+        Rows of the messages that are damaged, or have too many fields; what stands before the damage
+        is given.
+
+    Raises
+    ------
+    TooManyItemsError
+        If several messages have more fields than are decoded at once.
     """
     found: dict[int, list[_Places]] = {number: [] for number in wanted}
     broken: list[Ints] = []
     position = spans.starts.copy()
     active = _by_outlines(data, spans, np.flatnonzero(position < spans.ends), found)
+    steps = 0
     while len(active) > _FEW:
         tags, ends = position[active], spans.ends[active]
         tag, size = varints(data, tags)
@@ -69,23 +81,47 @@ def scan(data: Bytes, spans: Spans, wanted: set[int]) -> tuple[dict[int, Spans],
         sound &= (wire != 0) | (length_size <= _VARINT_LIMIT)
         if not sound.all():
             broken.append(spans.rows[active[~sound]])
+        steps += len(active)
+        if steps > _STEPS:
+            raise TooManyItemsError(max(len(spans.starts) // 8, 1))
         for one, places in found.items():
             hit = np.flatnonzero((number == one) & sound)
             if len(hit):
                 places.append((spans.rows[active[hit]], tags[hit], starts[hit], after[hit]))
         position[active] = after
         active = active[sound & (after < ends)]
-    for index in active.tolist():
+    _one_by_one(data, spans, position, active, found, broken, budget)
+    return {one: _in_order(places) for one, places in found.items()}, _concatenated(broken)
+
+
+def _one_by_one(
+    data: Bytes,
+    spans: Spans,
+    position: Ints,
+    rows: Ints,
+    found: dict[int, list[_Places]],
+    broken: list[Ints],
+    budget: Budget,
+) -> None:
+    """Find the fields of a few messages, from where their scan has come to."""
+    count = 0
+    for done, index in enumerate(rows.tolist()):
         start, end = int(position[index]), int(spans.ends[index])
-        rest, whole = _one(data[start : end + 16].tobytes(), end - start, wanted)
-        row = np.array([spans.rows[index]])
-        for one, places_ in rest.items():
-            if places_:
-                columns = np.array(places_, np.int64) + start
+        row = spans.rows[index : index + 1]
+        if not budget.any_left:
+            broken.append(row)
+            continue
+        rest, fields, whole = _one(data[start : end + 16].tobytes(), end - start, set(found))
+        budget.spend(fields)
+        count += sum(map(len, rest.values()))
+        if count > ITEMS_AT_ONCE and done:
+            raise TooManyItemsError(done)
+        for one, places in rest.items():
+            if places:
+                columns = np.array(places, np.int64) + start
                 found[one].append((np.repeat(row, len(columns)), columns[:, 0], columns[:, 1], columns[:, 2]))
         if not whole:
             broken.append(row)
-    return {one: _in_order(places) for one, places in found.items()}, _concatenated(broken)
 
 
 def _by_outlines(data: Bytes, spans: Spans, rows: Ints, found: dict[int, list[_Places]]) -> Ints:
@@ -209,18 +245,19 @@ def next_field(data: bytes, position: int, end: int) -> tuple[int, int, int, int
     return number, wire, start, after if after <= end else -1
 
 
-def _one(data: bytes, end: int, wanted: set[int]) -> tuple[dict[int, list[tuple[int, int, int]]], bool]:
+def _one(data: bytes, end: int, wanted: set[int]) -> tuple[dict[int, list[tuple[int, int, int]]], int, bool]:
+    """Find the fields of one message; returns how many it has as well, and whether it is whole."""
     found: dict[int, list[tuple[int, int, int]]] = {number: [] for number in wanted}
     position = count = 0
     while position < end:
         number, _, start, after = next_field(data, position, end)
         count += 1
         if after < 0 or count > FIELDS_LIMIT:
-            return found, False
+            return found, count, False
         if number in found:
             found[number].append((position, start, after))
         position = after
-    return found, True
+    return found, count, True
 
 
 def _in_order(places: list[_Places]) -> Spans:

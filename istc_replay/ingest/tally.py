@@ -12,6 +12,8 @@ from istc_replay.ingest.problems import Problems
 from istc_replay.ingest.records import Channel
 
 Wanted = Callable[[Channel], bool]
+#: Messages of one channel and batch that are told one by one; the others are counted.
+_TOLD = 5
 _BEYOND = np.uint64(2**63)
 
 
@@ -72,8 +74,10 @@ class Tally:
 
     def _nobodys(self, channel_id: int, offsets: Ints) -> None:
         detail = f"a message of channel {channel_id}, which is not declared"
-        for offset in offsets.tolist():
+        for offset in offsets[:_TOLD].tolist():
             self._problems.lose("unknown_channel", detail, offset)
+        if len(offsets) > _TOLD:
+            self._problems.add("unknown_channel", detail, times=len(offsets) - _TOLD)
 
     def _is_wanted(self, channel: Channel) -> bool:
         wanted = self._wanted.get(channel)

@@ -45,6 +45,8 @@ from istc_replay.ingest.tally import Tally, Wanted
 #: Messages outside of chunks that make one batch [records, bytes].
 _BATCH_RECORDS = 16_384
 _BATCH_BYTES = 16 * 2**20
+#: Records in chunks that are no messages: so many in a file, and one more for each 16 of its bytes.
+_ODD_FLOOR = 300_000
 _COLUMNS = ("channel", "sequence", "log_time", "publish_time")
 
 
@@ -87,13 +89,13 @@ class LogFile:
         self._reset()
 
     def _reset(self, wants: Wanted | None = None) -> None:
-        self.position = self.chunk_count = 0
+        self.position = self.chunk_count = self._odd = 0
         self._problems = Problems()
         self._tally = Tally(self._problems, wants)
         self._extras = Extras(self._buffer, self._problems)
         self._summary = Summary()
         self._inflater = Inflater(self.size, self._problems)
-        self._definitions = Definitions(self._problems, self._summary)
+        self._definitions = Definitions(self._problems, self._summary, self.size)
 
     @property
     def profile(self) -> str:
@@ -192,13 +194,13 @@ class LogFile:
             begin = yield from self._segment(begin)
             self._tally.declared(self._definitions.channels)
             # A file joined to the end of another has its own channels.
-            self._definitions = Definitions(self._problems, Summary())
+            self._definitions = Definitions(self._problems, Summary(), self.size)
         self._extras.compare(self.message_count, self.chunk_count)
 
     def _read_summary(self) -> None:
         try:
             self._summary = read_summary(self._buffer)
-            self._definitions = Definitions(self._problems, self._summary)
+            self._definitions = Definitions(self._problems, self._summary, self.size)
         except MalformedRecordError as error:
             self._problems.add(
                 "summary_damaged", f"{error}; the summary is not used", self.size - len(MAGIC) - FOOTER.size
@@ -302,7 +304,11 @@ class LogFile:
             for opcode, places in chunk_records(data, hint):
                 if opcode == Opcode.MESSAGE:
                     yield from self._batch(data, places, offset)
-                elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
+                    continue
+                self._odd += 1
+                if self._odd > _ODD_FLOOR + self.size // 16:
+                    raise MalformedRecordError("too many records that are no messages")
+                if opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
                     self._definitions.declare(opcode, Fields(data, *places), offset)
                 else:
                     detail = f"record kind {opcode} inside a chunk is not read"

@@ -18,6 +18,7 @@ from istc_replay.ingest.chunk import chunk_records
 from istc_replay.ingest.definition import parse_definition
 from istc_replay.ingest.json_text import JsonDecoder
 from istc_replay.ingest.layout import Decoded
+from istc_replay.ingest.payload import Budget, TooManyItemsError
 from istc_replay.ingest.protobuf import ProtobufDecoder
 from istc_replay.ingest.records import MalformedRecordError
 from istc_replay.ingest.ros import ros_decoder
@@ -109,7 +110,9 @@ def test_protobuf_is_decoded_as_by_the_reference_library(values: list[Any], inne
         for message in messages:
             for part in message.parts:
                 part.inner.x = 4.5
-    decoded = decode(ProtobufDecoder(TYPE, MAPPING), [message.SerializeToString() for message in messages])
+    decoded = decode(
+        ProtobufDecoder(TYPE, MAPPING, Budget(10**9)), [message.SerializeToString() for message in messages]
+    )
     assert decoded.bad == []
     items = [(row, message, part) for row, message in enumerate(messages) for part in message.parts]
     assert decoded.rows.tolist() == [row for row, _, _ in items]
@@ -135,7 +138,7 @@ def test_damaged_protobuf_is_refused_where_the_reference_library_refuses_it(
     for position, value in damage:
         hurt[position % len(hurt)] = value
     payloads = [payload, sound, bytes(hurt)]
-    decoded = decode(ProtobufDecoder(TYPE, MAPPING), payloads)
+    decoded = decode(ProtobufDecoder(TYPE, MAPPING, Budget(10**9)), payloads)
     bad = {row for row, _ in decoded.bad}
     assert 1 not in bad
     for row, data in enumerate(payloads):
@@ -150,18 +153,18 @@ def test_damaged_protobuf_is_refused_where_the_reference_library_refuses_it(
 def test_parts_that_stand_twice_are_merged_as_protobuf_says() -> None:
     first = TYPE(head={"i": 7}, parts=[{"x": 1.0}]).SerializeToString()
     payload = first + TYPE(head={"x": 2.0}, parts=[{"x": 3.0}]).SerializeToString()
-    decoded = decode(ProtobufDecoder(TYPE, MAPPING), [payload, first])
+    decoded = decode(ProtobufDecoder(TYPE, MAPPING, Budget(10**9)), [payload, first])
     assert decoded.bad == []
     assert (plain(decoded, "x"), plain(decoded, "head_i")) == ([1.0, 3.0, 1.0], [7, 7, 7])
 
 
-@pytest.mark.parametrize(("count", "whole"), [(100_000, True), (1_000_000, False)])
+@pytest.mark.parametrize(("count", "whole"), [(40_000, True), (1_000_000, False)])
 def test_many_fields_in_one_message_among_many_are_scanned_alone(count: int, whole: bool) -> None:
     payloads = [b"\x08\x01"] * 20 + [b"\x08\x01" * count]
     data = np.frombuffer(b"".join(payloads) + bytes(16), np.uint8)
     ends = np.cumsum([len(payload) for payload in payloads]).astype(np.int64)
     starts = np.concatenate([[0], ends[:-1]])
-    found, broken = scan(data, Spans(np.arange(21), starts, starts, ends), {1})
+    found, broken = scan(data, Spans(np.arange(21), starts, starts, ends), {1}, Budget(10**9))
     assert (len(found[1].rows) == count + 20, len(broken)) == (whole, not whole)
 
 
@@ -212,7 +215,9 @@ def test_cdr_is_decoded_as_the_reference_library_encodes_it(values: list[Any]) -
         )
         for row, (name, parts, noise) in enumerate(values)
     ]
-    decoded = decode(ros_decoder(parse_definition(DEFINITION.encode(), False), CDR, False), payloads)
+    decoded = decode(
+        ros_decoder(parse_definition(DEFINITION.encode(), False), CDR, False, Budget(10**9)), payloads
+    )
     items = [(row, name, part) for row, (name, parts, _) in enumerate(values) for part in parts]
     assert decoded.bad == []
     assert decoded.rows.tolist() == [row for row, _, _ in items]
@@ -225,14 +230,14 @@ def test_cdr_is_decoded_as_the_reference_library_encodes_it(values: list[Any]) -
 
 def test_a_definition_of_nothing_cannot_make_a_payload_endless() -> None:
     types = parse_definition(b"Empty[] many\nfloat64 x\n===\nMSG: p/Empty\n", True)
-    decoder = ros_decoder(types, Mapping({"x": "x"}), True)
+    decoder = ros_decoder(types, Mapping({"x": "x"}), True, Budget(10**9))
     payload = struct.pack("<I", 2**32 - 1) + bytes(8)
     assert [error.code for _, error in decode(decoder, [payload]).bad] == ["payload"]
     circle = parse_definition(b"A a\nfloat64 x\n===\nMSG: p/A\nA a\n", True)
-    assert decode(ros_decoder(circle, Mapping({"x": "x"}), True), [bytes(50)]).bad
+    assert decode(ros_decoder(circle, Mapping({"x": "x"}), True, Budget(10**9)), [bytes(50)]).bad
     wide = "".join(f"===\nMSG: p/T{k}\n" + f"T{k + 1} a\nT{k + 1} b\n" for k in range(60))
     types = parse_definition(f"float64 x\nT0 t\n{wide}===\nMSG: p/T60\nuint8 q\n".encode(), True)
-    assert decode(ros_decoder(types, Mapping({"x": "x"}), True), [bytes(50)]).bad
+    assert decode(ros_decoder(types, Mapping({"x": "x"}), True, Budget(10**9)), [bytes(50)]).bad
 
 
 # --- JSON ----------------------------------------------------------------------------------------
@@ -337,3 +342,25 @@ def test_a_hint_never_changes_what_a_chunk_holds(
 
     hint = np.array(sorted(p for p in (places if lie is None else lie) if 0 <= p < len(data)), np.int64)
     assert told(hint) == told(None)
+
+
+# --- bounds --------------------------------------------------------------------------------------
+
+
+def test_messages_of_many_items_are_decoded_in_parts() -> None:
+    messages = [b"\x12\x02\x08\x01" * 10_000] * 20
+    spans = Spans(np.arange(20), *(np.arange(20) * 40_000 for _ in range(2)), np.arange(1, 21) * 40_000)
+    data = np.frombuffer(b"".join(messages) + bytes(16), np.uint8)
+    with pytest.raises(TooManyItemsError) as error:
+        scan(data, spans, {2}, Budget(10**9))
+    few = error.value.rows
+    assert 1 <= few < 20
+    found, broken = scan(data, Spans(*(column[:few] for column in spans)), {2}, Budget(10**9))
+    assert (len(found[2].rows), len(broken)) == (few * 10_000, 0)
+
+
+def test_a_small_file_cannot_ask_for_much_work() -> None:
+    budget = Budget(0)
+    budget.spend(10**6)
+    decoded = decode(ProtobufDecoder(TYPE, MAPPING, budget), [b"\x08\x01"])
+    assert "more fields than a file of this size may hold" in str(decoded.bad[0][1])
