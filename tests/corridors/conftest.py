@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 import polars as pl
 import pytest
 
 from istc_replay.config import Config, CorridorsConfig
+from istc_replay.corridors import cbc
 from istc_replay.corridors.formulation import build_problem, default_limits
 from istc_replay.corridors.problem import CorridorProblem
 from istc_replay.corridors.solve import solve_corridors
@@ -148,3 +150,18 @@ def transformed() -> Callable[..., Case]:
         return Case(scenario, build_guidance(scenario, Config().guidance), case.config)
 
     return make
+
+
+@pytest.fixture
+def fake_cbc(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Callable[[str], None]]:
+    """Put a shell script in CBC's place."""
+
+    def put(script: str) -> None:
+        fake = tmp_path / "cbc"
+        fake.write_text("#!/bin/sh\n" + script)
+        fake.chmod(0o755)
+        cbc.executable.cache_clear()
+        monkeypatch.setattr(cbc.cbcbox, "cbc_bin_path", lambda: str(fake))
+
+    yield put
+    cbc.executable.cache_clear()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from pathlib import Path
 
 import pyomo.environ as pyo
@@ -78,21 +78,6 @@ def test_a_missing_binary_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Pa
     monkeypatch.setattr(cbc.cbcbox, "cbc_bin_path", lambda: str(tmp_path / "cbc"))
     with pytest.raises(SolveError, match="CBC is missing"):
         cbc.executable()
-    cbc.executable.cache_clear()
-
-
-@pytest.fixture
-def fake_cbc(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Iterator[Callable[[str], None]]:
-    """Put a shell script in CBC's place."""
-
-    def put(script: str) -> None:
-        fake = tmp_path / "cbc"
-        fake.write_text("#!/bin/sh\n" + script)
-        fake.chmod(0o755)
-        cbc.executable.cache_clear()
-        monkeypatch.setattr(cbc.cbcbox, "cbc_bin_path", lambda: str(fake))
-
-    yield put
     cbc.executable.cache_clear()
 
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from itertools import combinations
+from itertools import combinations, product
 from typing import Any
 
 import numpy as np
 import pytest
 
+from istc_replay.corridors.polish import polish
 from istc_replay.corridors.problem import CONSTANT, CorridorProblem
 from istc_replay.datatypes import Corridors, SolveStatus
 
@@ -82,6 +83,88 @@ def test_the_optimum_of_random_crossings_is_scips(seed: int, crossing: Callable[
         assert solved.objective == pytest.approx(exact, rel=1e-3, abs=1e-3)
         assert solved.bound is not None
         assert solved.bound <= exact + 1e-5 * max(1.0, abs(exact))
+
+
+@pytest.mark.parametrize("seed", [0, 1, 4, 6, 8, 10])
+def test_the_optimum_of_tiny_crossings_is_that_of_every_choice_tried(
+    seed: int, crossing: Callable[..., Any]
+) -> None:
+    case = crossing(seed, vehicles=2, units=3)
+    problem = case.problem()
+    choices = list(product(*(np.flatnonzero(row) for row in problem.separations.possible)))
+    assert 0 < len(choices) <= 256
+    found = [z for z in (polish(problem, choice) for choice in choices) if z is not None]
+    solved = case.solved(frame_rounds=0)
+    assert solved.objective == pytest.approx(min(map(problem.objective, found)), rel=1e-3, abs=1e-3)
+    assert solved.status is SolveStatus.OPTIMAL
+
+
+@pytest.mark.parametrize("mode", ["fast", "certified"])
+@pytest.mark.parametrize(
+    ("script", "status", "told"),
+    [
+        ("kill -9 $$\n", SolveStatus.ERROR, "killed by signal 9"),
+        ("exec sleep 60\n", SolveStatus.LIMIT, "did not stop"),
+        ("exit 1\n", SolveStatus.ERROR, "exit code 1"),
+    ],
+)
+def test_a_solver_that_dies_or_hangs_leaves_what_was_found_before(
+    mode: str,
+    script: str,
+    status: SolveStatus,
+    told: str,
+    fake_cbc: Callable[[str], None],
+    monkeypatch: pytest.MonkeyPatch,
+    intersection: Callable[..., Any],
+) -> None:
+    fake_cbc(script)
+    monkeypatch.setattr("istc_replay.corridors.cbc._START_S", 0.2)
+    solved = intersection("intersection_turn_first").solved(mode=mode, emergency_stop_s=0.05)
+    assert solved.status is SolveStatus.FEASIBLE
+    assert len(solved.corridors) == 3
+    assert solved.bound < solved.objective
+    ran = [record for record in solved.records if record.solver == "cbc"]
+    assert len(ran) == (1 if mode == "fast" else 2)
+    assert all(record.status is status and told in record.detail for record in ran)
+
+
+def test_a_solver_that_dies_before_anything_was_found_is_named(
+    fake_cbc: Callable[[str], None], intersection: Callable[..., Any]
+) -> None:
+    fake_cbc("kill -9 $$\n")
+    solved = intersection("intersection_turn_first").solved(tree_node_budget=2)
+    assert solved.status is SolveStatus.ERROR
+    assert not solved.corridors
+    assert "CBC was killed by signal 9" in solved.reason
+
+
+def test_every_stage_tells_its_time_and_where_the_bound_stands(intersection: Callable[..., Any]) -> None:
+    solved = intersection("intersection_turn_first").solved()
+    stages = [record.stage for record in solved.records]
+    assert stages == [
+        "conflict tree",
+        "cube sizes",
+        "joint polish",
+        "relaxation",
+        "probing",
+        "outer approximation 1",
+    ]
+    assert all(record.wall_s is not None and record.wall_s > 0.0 for record in solved.records)
+    bounds = [record.bound for record in solved.records if record.bound is not None]
+    assert bounds == sorted(bounds)
+    assert bounds[-1] == solved.bound
+    assert solved.found_by in ("joint polish", "outer approximation, round 1")
+
+
+def test_a_proof_without_outer_approximation_bounds_by_the_tree(intersection: Callable[..., Any]) -> None:
+    case = intersection("intersection_turn_first")
+    proven, bounded = case.solved(), case.solved(proof_binaries_max=1)
+    assert bounded.status is SolveStatus.FEASIBLE
+    relaxed = polish(case.problem(), None)
+    assert relaxed is not None
+    assert case.problem().objective(relaxed) < bounded.bound <= proven.objective
+    # The bound leaves out what the cubes lose to each other: that is all that it misses.
+    assert bounded.gap < 0.7
 
 
 @pytest.mark.parametrize("group", GROUPS)
