@@ -176,6 +176,7 @@ def assemble(
     from istc_replay.export.summary import summarise
     from istc_replay.ingest.result import read_result
     from istc_replay.safety.log_audit import audit_log
+    from istc_replay.safety.solver_record import with_solver_record
     from istc_replay.states import AGAINST_PLAN_SCHEMA
     from istc_replay.windows import settled_config
 
@@ -192,7 +193,11 @@ def assemble(
     with timing.stage("audit"):
         against = pl.DataFrame(rows, schema=AGAINST_PLAN_SCHEMA)
         try:
-            audit: Audit | str = audit_log(log, config, against)
+            audit: Audit | str = with_solver_record(
+                audit_log(log, config, against),
+                summarise(log, outcomes, versions(), config_sha256)["windows"],
+                config,
+            )
         except LogError as error:  # too dense for the memory: the plans stand without it
             audit = str(error)
     findings = None if isinstance(audit, str) else audit.findings

@@ -12,6 +12,7 @@ from istc_replay.safety.against_plan import against_plan, recorded_rows
 from istc_replay.safety.certificate import certify
 from istc_replay.safety.clocks import CLOCK_RULES, Clock
 from istc_replay.safety.log_audit import Audit, audit_log
+from istc_replay.safety.solver_record import with_solver_record
 from istc_replay.states import CERTIFICATES_SCHEMA, STATES_SCHEMA, conform
 from istc_replay.units import seconds_to_ns
 
@@ -42,7 +43,9 @@ def audit_result(result: Result, config: Config) -> Audit:
         for row in result.findings.filter(pl.col("rule").is_in(CLOCK_RULES)).iter_rows(named=True)
     ]
     found = audit_log(recorded_log(result), config, against_plan(result, config), clocks)
-    starts = [window["start_ns"] for window in result.summary.get("windows") or ()]
+    windows = result.summary.get("windows") or ()
+    found = with_solver_record(found, windows, config)
+    starts = [window["start_ns"] for window in windows]
     origin_ns = min(starts, default=found.log.start_ns or 0)
     return replace(found, certificates=_table(certify(result, config), result), origin_ns=origin_ns)
 

@@ -120,6 +120,9 @@ CORRIDOR_RULE = Rule(
     "off_corridor", "deepest_m", "m", 1, _levels("off_corridor", "m", "ours", "ours", "ours")
 )
 
+#: Of a plan: feasible, but not proven optimal.
+SOLVER_RULE = "not_proven_optimal"
+
 #: Rules of data quality; their findings are inconclusive.
 DATA_RULES = (
     "data_gap",
@@ -138,6 +141,7 @@ DATA_RULES = (
 #: All rules in the order in which they are told.
 RULE_NAMES = (
     *(rule.name for rule in (*PAIR_RULES, PET_RULE, *VEHICLE_RULES, CORRIDOR_RULE)),
+    SOLVER_RULE,
     *DATA_RULES,
 )
 

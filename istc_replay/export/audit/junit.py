@@ -11,7 +11,7 @@ from istc_replay.datatypes import Verdict
 from istc_replay.export.audit.record import Severity, counting
 from istc_replay.export.audit.xml_text import as_xml, xml_text
 from istc_replay.safety.log_audit import Audit
-from istc_replay.safety.rules import RULE_NAMES, worst_first
+from istc_replay.safety.rules import RULE_NAMES, SOLVER_RULE, worst_first
 
 #: Findings that one test case lists.
 _LISTED = 50
@@ -55,7 +55,8 @@ def _outcome(case: ET.Element, rule: str, audit: Audit, counted: pl.DataFrame) -
     if Verdict.INCONCLUSIVE.value in verdicts:
         ET.SubElement(case, "error", message="not judged throughout: see the coverage", type="inconclusive")
         return "errors"
-    if verdicts == {Verdict.NOT_APPLICABLE.value}:
+    of_plans = rule == SOLVER_RULE and not audit.of_result
+    if verdicts == {Verdict.NOT_APPLICABLE.value} or of_plans:
         ET.SubElement(case, "skipped", message="does not apply")
         return "skipped"
     return ""
