@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from istc_replay.config import Config, parse_config, render_config
-from istc_replay.errors import ConfigError, ExportError, IstcReplayError, LogError
+from istc_replay.errors import ConfigError, ExportError, IstcReplayError, LogError, ScenarioError
 from istc_replay.export.atomic import refused
 from istc_replay.fleet.inputs import is_url, local_file, sha256_of, stamp_of
 from istc_replay.fleet.jobs import Job, Outcome, config_sha256, products_key, version
@@ -106,11 +106,22 @@ def _from_receipt(receipt: Mapping[str, Any], folder: Path) -> dict[str, Any]:
 
 def _make(job: Job, config: Config, path: Path, facts: dict[str, str]) -> dict[str, Any]:
     from istc_replay.ingest.log import read_log
-    from istc_replay.windows import window_spans
 
     log = read_log(path, config)
     if log.sha256 != facts["log_sha256"]:
         raise LogError(f"{job.location}: changed while it was read; call again when it is finished")
+    try:
+        return _plan(job, config, log, facts)
+    except ScenarioError as error:
+        if not log.problems:
+            raise
+        first = log.problems[0]
+        raise ScenarioError(f"{error}; {first.code}: {first.detail}") from None
+
+
+def _plan(job: Job, config: Config, log: Log, facts: dict[str, str]) -> dict[str, Any]:
+    from istc_replay.windows import window_spans
+
     # Windows that are done outlive a worker that dies, and are shared by all that work on the log.
     kept = Path(job.fleet) / "parts" / facts["key"][:32]
     if job.windows is not None:
@@ -186,13 +197,14 @@ def _lacks(done: Replay) -> str:
     if not source["complete"]:
         problems = [f"{p['code']}: {p['detail']}" for p in source["problems"]]
         reasons.append("the log is incomplete" + (f": {problems[0]}" if problems else ""))
-    open_ = [w for w in windows if w["status"] not in ("certified", "partial")]
-    if open_:
-        first = open_[0]
+    lacking = [w for w in windows if w["status"] not in ("certified", "nothing_to_plan")]
+    if lacking or not any(w["status"] == "certified" for w in windows):
+        first = (lacking or windows)[0]
         why = f": {first['reason']}" if first["reason"] else ""
         which = f"window {first['index']} is {first['status'].replace('_', ' ')}{why}"
-        reasons.append(f"{len(open_)} of {len(windows)} windows without a plan; {which}")
-    return _line("; ".join(reasons) or "not every window is certified")
+        count = len(lacking) or len(windows)
+        reasons.append(f"{count} of {len(windows)} windows are not certified in full; {which}")
+    return _line("; ".join(reasons))
 
 
 def _place(error: OSError) -> Path:

@@ -69,6 +69,15 @@ def run_fleet() -> RunFleet:
     return run
 
 
+@pytest.fixture(scope="session")
+def done(run_fleet: RunFleet, four_logs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The four logs, done; not to be changed."""
+    folder = tmp_path_factory.mktemp("fleet")
+    summary = run_fleet(folder, four_logs)
+    assert (summary.counts["done"], summary.worst_code) == (4, 0), summary.named
+    return folder
+
+
 @pytest.fixture
 def with_faults(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """Processes that do jobs fail at logs named crash*, hang*, hungry* and abort*."""

@@ -23,17 +23,8 @@ from istc_replay.pipeline.tables import export_tables
 from .conftest import FAST, RunFleet, outputs
 
 
-@pytest.fixture(scope="module")
-def done(run_fleet: RunFleet, four_logs: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The four logs, done."""
-    folder = tmp_path_factory.mktemp("fleet")
-    summary = run_fleet(folder, four_logs)
-    assert (summary.counts["done"], summary.worst_code) == (4, 0), summary.named
-    return folder
-
-
 def test_a_fleet_gives_what_single_runs_give(done: Path, four_logs: Path, tmp_path: Path) -> None:
-    for log in sorted(four_logs.iterdir())[:2]:
+    for log in sorted(four_logs.iterdir())[:1]:
         alone = run_log(log, tmp_path / log.stem, parse_config(FAST))
         export_tables(
             tmp_path / log.stem / "result.mcap", tmp_path / "tables", ["parquet"], parse_config(FAST)
