@@ -30,7 +30,8 @@ class Trial:
 
     def __init__(self, folder: Path, logs: Path, wanted: dict[str, bytes], seconds: float) -> None:
         self.folder, self.logs, self.wanted, self.seconds = folder, logs, wanted, seconds
-        self.config = folder.parent / "fast.toml"
+        # Beside the disk, where the folder is on one of its own.
+        self.config = folder.parent.parent / "fast.toml"
         self.config.write_text(FAST)
 
     def start(self, *options: str, **how: object) -> subprocess.Popen[str]:
@@ -77,7 +78,7 @@ def undisturbed(four_logs: Path, done: Path) -> tuple[Path, dict[str, bytes], fl
 @pytest.fixture
 def trial(undisturbed: tuple[Path, dict[str, bytes], float], tmp_path: Path) -> Trial:
     """A fleet to be disturbed."""
-    return Trial(tmp_path / "out", *undisturbed)
+    return Trial(tmp_path / "fleets" / "out", *undisturbed)
 
 
 def rounds() -> list[object]:
@@ -155,7 +156,6 @@ def test_a_full_disk_stops_the_fleet_and_loses_nothing(
     size = sum(map(len, undisturbed[1].values())) >> 10
     disk = small_disk(int(random.Random(seed).uniform(0.02, 1.0) * size))
     trial = Trial(disk / "out", *undisturbed)
-    trial.config = trial.config.rename(disk.parent / "fast.toml")
     process = trial.start()
     _, error = process.communicate(timeout=300)
     assert process.returncode == 2, error
