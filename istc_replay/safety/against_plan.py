@@ -204,9 +204,4 @@ def _comfort(body: Body, audit: AuditConfig) -> dict[str, float]:
         "lateral_mps2": np.abs(motion.lateral_mps2),
         "jerk_mps3": np.abs(motion.jerk_mps3),
     }
-    return {
-        name: float(np.max(values[np.isfinite(values)], initial=np.nan))
-        if np.isfinite(values).any()
-        else np.nan
-        for name, values in found.items()
-    }
+    return {name: float(np.nanmax(values)) for name, values in found.items() if not np.isnan(values).all()}

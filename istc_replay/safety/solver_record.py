@@ -59,7 +59,7 @@ def _finding(window: Mapping[str, Any], config: Config) -> dict[str, Any] | None
         "value": float(gap) if known else float("inf"),  # type: ignore[arg-type]
         "unit": "",
         "threshold": config.corridors.gap_tolerance,
-        "threshold_source": "configured: corridors.gap_tolerance",
+        "threshold_source": "ours: corridors.gap_tolerance",
         "topic": "/istc/solves",
         "message_index": None,
         "encounter_id": None,

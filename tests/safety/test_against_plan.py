@@ -42,6 +42,7 @@ def test_who_drives_as_planned_deviates_by_nothing(scene: Any) -> None:
     assert table["first_exit_ns"].null_count() == 2
     assert (table["deepest_m"] < 0.0).all()
     for name in ("braking_mps2", "lateral_mps2", "jerk_mps3"):
+        assert table[f"recorded_{name}"].null_count() == 0
         np.testing.assert_allclose(table[f"recorded_{name}"], table[f"planned_{name}"], rtol=1e-5, atol=1e-6)
     assert set(table["estimate"]) == {"counterfactual estimate"}
 
@@ -63,6 +64,20 @@ def test_who_drives_faster_than_planned_shows_as_the_plans_delay(kit: SimpleName
     assert row["compared_m"] == pytest.approx(20.0)
     assert row["delay_end_s"] == pytest.approx(1.0, abs=1e-6)
     assert row["deviation_end_m"] == pytest.approx(5.0, abs=1e-6)
+
+
+def test_comfort_is_the_most_of_what_was_driven_and_of_what_was_planned(kit: SimpleNamespace) -> None:
+    scene = kit.Scene([kit.straight_car("a", 0, 0, 0.0, 8.0, 25)])
+    t = (pl.col("time_ns") - scene.start_ns) / NS
+    # It brakes with 3 m/s^2 from 2 s on, while the plan keeps its speed.
+    braking = recorded_as(
+        scene.result(), speed_mps=8.0 - 3.0 * (t - 2.0).clip(lower_bound=0.0, upper_bound=2.5)
+    )
+    row = against_plan(braking, Config()).row(0, named=True)
+    assert row["recorded_braking_mps2"] == pytest.approx(3.0, abs=0.05)
+    assert row["planned_braking_mps2"] == pytest.approx(0.0, abs=1e-6)
+    assert row["recorded_jerk_mps3"] > 3.0
+    assert row["recorded_lateral_mps2"] == pytest.approx(0.0, abs=1e-6)
 
 
 def test_the_first_exit_from_the_corridor_is_told_with_its_depth_and_is_a_finding(
