@@ -67,7 +67,8 @@ class Problem:
 class ChannelInfo:
     """One channel of a log, as `info` tells it.
 
-    `understood_as` is None where it is not read; `reason` says why nothing of it is used.
+    `understood_as` is None where it is not read; `reason` says why nothing of it is used. The log
+    times `first_ns` and `last_ns` are None without messages.
     """
 
     topic: str
@@ -77,6 +78,8 @@ class ChannelInfo:
     messages: int
     understood_as: str | None
     reason: str = ""
+    first_ns: int | None = None
+    last_ns: int | None = None
 
 
 # --- the static scene of a log ---------------------------------------------------------------

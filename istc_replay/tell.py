@@ -9,11 +9,15 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
+    import polars as pl
+
     from istc_replay.datatypes import Log
     from istc_replay.pipeline.convert import Converted
     from istc_replay.pipeline.copying import Copied
 
 _LINE_LIMIT = 2000
+#: Rows of a table for people.
+_LISTED = 50
 
 
 def line(text: object) -> str:
@@ -71,20 +75,6 @@ def _window_lines(window: Mapping[str, Any]) -> Iterator[str]:
 
 def log_facts(log: Log) -> dict[str, Any]:
     """What a log holds, as `info --json` tells it."""
-    import polars as pl
-
-    vehicles = (
-        log.states.group_by("vehicle_id")
-        .agg(
-            pl.len().alias("states"),
-            pl.col("time_ns").min().alias("first_ns"),
-            pl.col("time_ns").max().alias("last_ns"),
-            pl.col("length_m").drop_nulls().first(),
-            pl.col("width_m").drop_nulls().first(),
-        )
-        .sort("vehicle_id")
-        .rename({"vehicle_id": "id"})
-    )
     return {
         "path": log.path,
         "complete": log.complete,
@@ -104,12 +94,57 @@ def log_facts(log: Log) -> dict[str, Any]:
                 "messages": c.messages,
                 "understood_as": c.understood_as,
                 "reason": c.reason,
+                "first_ns": c.first_ns,
+                "last_ns": c.last_ns,
+                "rate_hz": _rate_hz(c.messages, c.first_ns, c.last_ns),
             }
             for c in log.channels
         ],
-        "vehicles": vehicles.to_dicts(),
+        "vehicles": _vehicles(log.states),
         "problems": [{"code": p.code, "detail": p.detail, "offset": p.offset} for p in log.problems],
     }
+
+
+def _rate_hz(count: int, first_ns: int | None, last_ns: int | None) -> float | None:
+    if first_ns is None or last_ns is None or last_ns <= first_ns or count < 2:
+        return None
+    return (count - 1) * 1e9 / (last_ns - first_ns)
+
+
+def _vehicles(states: pl.DataFrame) -> list[dict[str, Any]]:
+    """Facts of every vehicle; a gap is a step longer than 1.5 times the vehicle's median step."""
+    import polars as pl
+
+    step = pl.col("time_ns").diff().over("vehicle_id")
+    usual = pl.col("step_ns").median().over("vehicle_id")
+    derived = (("heading", 1), ("speed", 2), ("acceleration", 4))
+    return (
+        states.with_columns(step_ns=step)
+        .with_columns(gap=pl.col("step_ns") > 1.5 * usual)
+        .group_by("vehicle_id")
+        .agg(
+            pl.len().alias("states"),
+            pl.col("time_ns").min().alias("first_ns"),
+            pl.col("time_ns").max().alias("last_ns"),
+            pl.col("length_m").drop_nulls().first(),
+            pl.col("width_m").drop_nulls().first(),
+            pl.col("role").drop_nulls().first(),
+            (1e9 / pl.col("step_ns").filter(pl.col("step_ns") > 0).median()).alias("rate_hz"),
+            pl.col("gap").sum().alias("gaps"),
+            (pl.col("step_ns").max() / 1e9).alias("longest_step_s"),
+            pl.col("topic").unique().sort().alias("topics"),
+            *(((pl.col("derived") & bit) > 0).any().alias(f"derived_{name}") for name, bit in derived),
+        )
+        .sort("vehicle_id")
+        .with_columns(
+            pl.concat_list(pl.when(pl.col(f"derived_{name}")).then(pl.lit(name)) for name, _ in derived)
+            .list.drop_nulls()
+            .alias("derived")
+        )
+        .drop(f"derived_{name}" for name, _ in derived)
+        .rename({"vehicle_id": "id"})
+        .to_dicts()
+    )
 
 
 def json_lines(facts: Mapping[str, Any]) -> Iterator[str]:
@@ -134,21 +169,75 @@ def info_lines(facts: Mapping[str, Any]) -> Iterator[str]:
     if facts["start_ns"] is not None:
         span_s = (facts["end_ns"] - facts["start_ns"]) / 1e9
         yield f"span: {span_s:.3f} s from {facts['start_ns']} ns; times of states: {facts['time_source']}"
-    rows = [["topic", "schema", "encoding", "messages", "read as"]]
-    for c in facts["channels"]:
-        kind = c["understood_as"] or (f"not read: {c['reason']}" if c["reason"] else "not read")
-        rows.append([c["topic"], c["schema"], c["message_encoding"], str(c["messages"]), kind])
-    yield from table_lines(rows)
-    rows = [["vehicle", "states", "from s", "to s", "rate Hz", "length m", "width m"]]
-    for v in facts["vehicles"]:
-        first, last = ((v[key] - facts["vehicles"][0]["first_ns"]) / 1e9 for key in ("first_ns", "last_ns"))
-        rate = f"{(v['states'] - 1) / (last - first):.1f}" if last > first else "-"
-        size = ["-" if v[key] is None else f"{v[key]:.2f}" for key in ("length_m", "width_m")]
-        rows.append([v["id"], str(v["states"]), f"{first:.3f}", f"{last:.3f}", rate, *size])
-    yield from table_lines(rows)
+    yield from _channel_lines(facts["channels"])
+    yield from _vehicle_lines(facts["vehicles"])
     for problem in facts["problems"]:
         where = "" if problem["offset"] is None else f" at byte {problem['offset']}"
         yield f"problem: {line(problem['code'])}{where}: {line(problem['detail'])}"
+
+
+def _channel_lines(channels: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    rows = [["topic", "schema", "encoding", "messages", "rate Hz", "read as"]]
+    for c in channels[:_LISTED]:
+        kind = c["understood_as"] or f"not read: {c['reason'] or 'no reason'}"
+        if c["understood_as"] and c["reason"]:
+            kind += f", not used: {c['reason']}"
+        rows.append(
+            [
+                c["topic"],
+                c["schema"],
+                c["message_encoding"],
+                str(c["messages"]),
+                _number(c["rate_hz"], 1),
+                kind,
+            ]
+        )
+    yield from table_lines(rows, "<<<>>")
+    if len(channels) > _LISTED:
+        yield f"  and {len(channels) - _LISTED} channels more; --json lists all"
+
+
+def _vehicle_lines(vehicles: Sequence[Mapping[str, Any]]) -> Iterator[str]:
+    if not vehicles:
+        return
+    begin_ns = min(v["first_ns"] for v in vehicles)
+    head = [
+        "vehicle",
+        "role",
+        "states",
+        "from s",
+        "to s",
+        "rate Hz",
+        "gaps",
+        "longest s",
+        "length m",
+        "width m",
+    ]
+    rows = [[*head, "derived", "topics"]]
+    for v in vehicles[:_LISTED]:
+        span = [f"{(v[key] - begin_ns) / 1e9:.3f}" for key in ("first_ns", "last_ns")]
+        topics = v["topics"][0] + (f" and {len(v['topics']) - 1} more" if len(v["topics"]) > 1 else "")
+        rows.append(
+            [
+                *(
+                    v["id"],
+                    v["role"] or "",
+                    str(v["states"]),
+                    *span,
+                    _number(v["rate_hz"], 1),
+                    str(v["gaps"]),
+                ),
+                *(_number(v["longest_step_s"], 3), _number(v["length_m"], 2), _number(v["width_m"], 2)),
+                *(", ".join(v["derived"]), topics),
+            ]
+        )
+    yield from table_lines(rows, "<<>>>>>>>><<")
+    if len(vehicles) > _LISTED:
+        yield f"  and {len(vehicles) - _LISTED} vehicles more; --json lists all"
+
+
+def _number(value: float | None, digits: int) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"
 
 
 def copied_lines(copied: Copied) -> Iterator[str]:
@@ -177,14 +266,21 @@ def converted_lines(done: Converted) -> Iterator[str]:
         yield f"  {line(problem.code)}: {line(problem.detail)}"
 
 
-def table_lines(rows: Sequence[Sequence[str]]) -> Iterator[str]:
-    """Lay out rows of cells as columns; a table without rows but its head is left out."""
+def table_lines(rows: Sequence[Sequence[str]], sides: str = "") -> Iterator[str]:
+    """Lay out rows of cells as columns; a table without rows but its head is left out.
+
+    `sides` has `>` for each column whose cells stand on the right.
+    """
     if len(rows) == 1:
         return
-    shown = [[line(cell)[:60] for cell in row] for row in rows]
+    shown = [[line(cell)[:60] for cell in row[:-1]] + [line(row[-1])[:200]] for row in rows]
     widths = [max(len(row[column]) for row in shown) for column in range(len(shown[0]))]
     for row in shown:
-        yield ("  " + "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip())
+        cells = [
+            cell.rjust(width) if sides[place : place + 1] == ">" else cell.ljust(width)
+            for place, (cell, width) in enumerate(zip(row, widths, strict=True))
+        ]
+        yield ("  " + "  ".join(cells)).rstrip()
 
 
 def robustness_lines(found: Sequence[Mapping[str, Any]]) -> Iterator[str]:

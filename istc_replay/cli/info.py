@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from istc_replay import tell
-from istc_replay.cli.common import FILE, config_option, print_lines
+from istc_replay.cli.common import FILE, Progress, config_option, print_lines
 
 
 @click.command()
@@ -23,7 +23,8 @@ def info(log: Path, as_json: bool, config_path: Path | None) -> int:
     from istc_replay.config import load_config
     from istc_replay.ingest.log import read_log
 
-    read = read_log(log, load_config(config_path))
+    with Progress(log.name) as progress:
+        read = read_log(log, load_config(config_path), progress.bytes)
     facts = tell.log_facts(read)
     if as_json:
         click.echo("\n".join(tell.json_lines(facts)))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -78,8 +79,8 @@ class Decoding:
         self._next_index: dict[int, int] = {}
         self._ordinal = 0
 
-    def blocks(self, file: LogFile) -> list[Block]:
-        """Walk the file and decode what is understood."""
+    def blocks(self, file: LogFile, progress: Callable[[int, int], None] | None) -> list[Block]:
+        """Walk the file and decode what is understood; progress is told bytes read and in all."""
         blocks: list[Block] = []
         held: list[Batch] = []
         size = 0
@@ -89,6 +90,8 @@ class Decoding:
             if size >= _BYTES:
                 blocks += self._decode(held)
                 held, size = [], 0
+                if progress is not None:
+                    progress(file.position, file.size)
         if held:
             blocks += self._decode(held)
         return blocks

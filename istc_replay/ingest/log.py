@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +30,9 @@ from istc_replay.ingest.walk import LogFile, open_log
 _BETTER_TOLD = "its vehicles are told better by other topics; ingest.topics can choose it"
 
 
-def read_log(path: Path, config: Config | None = None) -> Log:
+def read_log(
+    path: Path, config: Config | None = None, progress: Callable[[int, int], None] | None = None
+) -> Log:
     """Read a log.
 
     Parameters
@@ -38,6 +41,8 @@ def read_log(path: Path, config: Config | None = None) -> Log:
         Any MCAP file.
     config : Config, optional
         The sections `ingest` and `vehicles` say how to read it.
+    progress : callable, optional
+        Told the bytes that are read and those that there are.
 
     Returns
     -------
@@ -55,7 +60,7 @@ def read_log(path: Path, config: Config | None = None) -> Log:
     file = open_log(path)
     # What comes out not finite is taken as unknown, so it needs no warning on the way.
     with np.errstate(all="ignore"):
-        return _Reading(file, config or Config()).log(str(path))
+        return _Reading(file, config or Config()).log(str(path), progress)
 
 
 class _Reading:
@@ -68,10 +73,10 @@ class _Reading:
         self._decoding = Decoding(file.size, config, self._problems)
         self._unused: set[str] = set()
 
-    def log(self, path: str) -> Log:
+    def log(self, path: str, progress: Callable[[int, int], None] | None) -> Log:
         file = self._file
         sha256 = file.sha256()
-        states = self._table(self._decoding.blocks(file))
+        states = self._table(self._decoding.blocks(file, progress))
         self._tell_of_channels()
         found = file.problems + self._problems.found()
         return Log(
@@ -143,6 +148,7 @@ class _Reading:
         reason = refused or ("" if format_ else why_not(channel, self._config.ingest))
         if format_ is not None and understood and format_.name in self._unused:
             reason = _BETTER_TOLD
+        first_ns, last_ns = self._file.spans.get(channel, (None, None))
         return ChannelInfo(
             topic=channel.topic,
             schema=channel.schema.name if channel.schema else "",
@@ -151,6 +157,8 @@ class _Reading:
             messages=self._file.counts[channel],
             understood_as=understood,
             reason=reason,
+            first_ns=first_ns,
+            last_ns=last_ns,
         )
 
     def _tell_of_channels(self) -> None:
