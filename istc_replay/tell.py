@@ -201,36 +201,15 @@ def _vehicle_lines(vehicles: Sequence[Mapping[str, Any]]) -> Iterator[str]:
     if not vehicles:
         return
     begin_ns = min(v["first_ns"] for v in vehicles)
-    head = [
-        "vehicle",
-        "role",
-        "states",
-        "from s",
-        "to s",
-        "rate Hz",
-        "gaps",
-        "longest s",
-        "length m",
-        "width m",
-    ]
-    rows = [[*head, "derived", "topics"]]
+    head = ("vehicle", "role", "states", "from s", "to s", "rate Hz", "gaps", "longest s")
+    rows = [[*head, "length m", "width m", "derived", "topics"]]
     for v in vehicles[:_LISTED]:
         span = [f"{(v[key] - begin_ns) / 1e9:.3f}" for key in ("first_ns", "last_ns")]
         topics = v["topics"][0] + (f" and {len(v['topics']) - 1} more" if len(v["topics"]) > 1 else "")
-        rows.append(
-            [
-                *(
-                    v["id"],
-                    v["role"] or "",
-                    str(v["states"]),
-                    *span,
-                    _number(v["rate_hz"], 1),
-                    str(v["gaps"]),
-                ),
-                *(_number(v["longest_step_s"], 3), _number(v["length_m"], 2), _number(v["width_m"], 2)),
-                *(", ".join(v["derived"]), topics),
-            ]
-        )
+        steps = [_number(v["rate_hz"], 1), str(v["gaps"]), _number(v["longest_step_s"], 3)]
+        size = [_number(v["length_m"], 2), _number(v["width_m"], 2)]
+        told = [v["id"], v["role"] or "", str(v["states"])]
+        rows.append([*told, *span, *steps, *size, ", ".join(v["derived"]), topics])
     yield from table_lines(rows, "<<>>>>>>>><<")
     if len(vehicles) > _LISTED:
         yield f"  and {len(vehicles) - _LISTED} vehicles more; --json lists all"
