@@ -32,7 +32,7 @@ class JsonDecoder:
     def decode(self, data: Bytes, starts: Ints, ends: Ints) -> Decoded:
         """Decode the payloads that these spans of data hold."""
         raw = data.base if isinstance(data.base, bytes) else data.tobytes()
-        payloads = [raw[start:end] for start, end in zip(starts.tolist(), ends.tolist(), strict=True)]
+        payloads = list(map(raw.__getitem__, map(slice, starts.tolist(), ends.tolist())))
         # What is shorter than this cannot nest more deeply.
         deep = int((ends - starts).max(initial=0)) > _BRACKETS and any(map(_is_deep, payloads))
         columns = None if self._items or deep else self._fast(payloads)
