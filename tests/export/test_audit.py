@@ -26,6 +26,7 @@ from istc_replay.export.audit import (
     audit_xqar,
     write_audit,
 )
+from istc_replay.export.audit.pictures import draw_timeline, recording_of
 from istc_replay.safety.log_audit import Audit, audit_log
 from istc_replay.safety.rules import RULE_NAMES
 from istc_replay.states import STATES_SCHEMA, conform
@@ -247,3 +248,15 @@ def test_the_reference_library_reads_the_xqar_file(made: Any, tmp_path: Path) ->
         expected = [3 if d else levels[s] for d, s in zip(doubt, rows["severity"], strict=True)]
         assert sorted(int(issue.level) for issue in issues) == sorted(expected)
     assert found == audit.findings.height
+
+
+def test_the_timeline_shows_the_first_and_the_last_of_very_many_findings_and_stays_small() -> None:
+    audit = crash()
+    many = pl.concat([audit.findings.head(1)] * 6000).with_columns(
+        worst_ns=pl.int_range(6000) * int(T[-1] * NS / 5999), severity=pl.lit("critical")
+    )
+    figure = draw_timeline(recording_of(replace(audit, findings=many)))
+    marks = next(line.get_xdata() for line in figure.axes[0].lines if len(line.get_xdata()) > 2)
+    assert np.min(marks) == 0.0
+    assert np.max(marks) == pytest.approx(T[-1], abs=0.02)
+    assert 500 < len(marks) <= 601
