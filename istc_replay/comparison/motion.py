@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -160,11 +159,12 @@ def crossings(motions: WindowMotions, tracks: dict[str, Track]) -> dict[tuple[st
         boxes, motions.times_s, longest_s=longest_s, least_angle_rad=0.0
     )
     leads_s = motions.times_s[later] - motions.times_s[earlier]
+    pairs = np.minimum(first, second) * len(names) + np.maximum(first, second)
+    order = np.lexsort((earlier, leads_s, pairs))
+    _, least = np.unique(pairs[order], return_index=True)
     found: dict[tuple[str, str], Crossing] = {}
-    for i, j in combinations(range(len(names)), 2):
-        rows = np.flatnonzero(((first == i) & (second == j)) | ((first == j) & (second == i)))
-        if rows.size:
-            row = rows[np.argmin(leads_s[rows])]
-            pair = (names[i], names[j]) if names[i] < names[j] else (names[j], names[i])
-            found[pair] = Crossing(names[first[row]], names[second[row]], float(leads_s[row]))
+    for row in order[least].tolist():
+        ahead, behind = names[first[row]], names[second[row]]
+        pair = (min(ahead, behind), max(ahead, behind))
+        found[pair] = Crossing(ahead, behind, float(leads_s[row]))
     return found

@@ -73,16 +73,25 @@ def said(change: Change) -> str:
     """What a figure is in A and in B."""
     unit = _UNITS.get(change.key.rpartition("_")[2], "") if "_" in change.key else ""
     after = f" {unit}" if unit else ""
-    return f"{value(change.a)}{after} in A, {value(change.b)}{after} in B"
+    a, b = values(change)
+    return f"{a}{after} in A, {b}{after} in B"
 
 
-def value(figure: Any) -> str:
-    """A figure as text."""
+def values(change: Change) -> tuple[str, str]:
+    """A figure in A and in B, with as many digits as tell them apart."""
+    for digits in (6, 9, 12):
+        a, b = _value(change.a, digits), _value(change.b, digits)
+        if a != b:
+            return a, b
+    return _value(change.a, 17), _value(change.b, 17)
+
+
+def _value(figure: Any, digits: int) -> str:
     if figure is None:
         return "none"
     if isinstance(figure, bool):
         return "yes" if figure else "no"
-    return f"{figure:.6g}" if isinstance(figure, float) else shortened(str(figure))
+    return f"{figure:.{digits}g}" if isinstance(figure, float) else shortened(str(figure))
 
 
 def shortened(text: str) -> str:
@@ -112,7 +121,7 @@ def moved(vehicle: VehicleChange) -> str:
     if vehicle.delay_s is not None and abs(vehicle.delay_s) >= _DELAY_S:
         parts.append(f"{abs(vehicle.delay_s):.2f} s {'later' if vehicle.delay_s > 0.0 else 'earlier'}")
     if vehicle.cubes:
-        walls = "" if vehicle.walls_m is None else f", walls by up to {vehicle.walls_m:.2f} m"
+        walls = "" if vehicle.walls_m is None else f", walls by up to {vehicle.walls_m:.2g} m"
         parts.append(f"{_count(vehicle.cubes, 'corridor-cube')} differ{_s(vehicle.cubes)}{walls}")
     if vehicle.recorded_moved_m is not None:
         parts.append(f"recorded up to {vehicle.recorded_moved_m:.2f} m elsewhere")

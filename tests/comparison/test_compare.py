@@ -12,8 +12,9 @@ import pytest
 from shapely import Polygon
 
 from istc_replay.comparison.compare import compare_results
+from istc_replay.comparison.difference import Change
 from istc_replay.comparison.motion import crossings, window_motions
-from istc_replay.comparison.words import sentences, verdict
+from istc_replay.comparison.words import sentences, values, verdict
 from istc_replay.datatypes import Result
 from istc_replay.geometry import box_corners
 
@@ -137,6 +138,13 @@ def test_a_vehicle_that_is_left_out_in_one_is_told_with_the_reason(synthetic_res
 def test_numbers_equal_to_rounding_are_the_same(synthetic_result: Result) -> None:
     other = changed(synthetic_result, y_m=pl.col("y_m") + 1e-10)
     assert compare_results(synthetic_result, other).same
+
+
+def test_figures_are_told_with_as_many_digits_as_tell_them_apart() -> None:
+    assert values(Change("length_m", 0.28206212, 0.28206241)) == ("0.28206212", "0.28206241")
+    assert values(Change("length_m", 12.5, 12.75)) == ("12.5", "12.75")
+    assert values(Change("arrived", True, None)) == ("yes", "none")
+    assert values(Change("sha256", "ab" * 32, "cd" * 32)) == ("ab" * 8, "cd" * 8)
 
 
 # --- who goes first --------------------------------------------------------------------------

@@ -94,6 +94,15 @@ def test_the_page_of_a_result_beside_itself_is_the_verdict_alone(synthetic_resul
     assert "<svg" not in text
 
 
+def test_a_window_in_which_nothing_moved_has_no_pictures(synthetic_result: Result) -> None:
+    first, *others = synthetic_result.summary["windows"]
+    proven = first | {"corridors": first["corridors"] | {"bound": -1.0}}
+    other = replace(synthetic_result, summary=synthetic_result.summary | {"windows": [proven, *others]})
+    text = comparison_html(compare_results(synthetic_result, other), synthetic_result, other, ("a", "b"))
+    assert "corridors.bound" in text
+    assert "<svg" not in text
+
+
 def test_the_page_tells_what_moved_and_who_waits(
     synthetic_result: Result, moved_result: Callable[[Result], Result], unpictured: None
 ) -> None:

@@ -6,7 +6,7 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from istc_replay.comparison.difference import Change, Comparison, PairChange, VehicleChange, WindowChange
-from istc_replay.comparison.words import value, verdict
+from istc_replay.comparison.words import values, verdict
 from istc_replay.datatypes import Result
 from istc_replay.export.figures import figure_bytes
 from istc_replay.export.figures.beside import draw_beside
@@ -121,7 +121,7 @@ def _hash(told: Any) -> Html:
 def _changes(title: str, caption: str, changes: Sequence[Change], level: str = "h2") -> Html | None:
     if not changes:
         return None
-    rows = [(name(c.key), prose(value(c.a)), prose(value(c.b))) for c in changes]
+    rows = [(name(c.key), *map(prose, values(c))) for c in changes]
     return join([element(level, title), table(caption, ("What", "A", "B"), rows)])
 
 
@@ -171,7 +171,7 @@ def _moved(vehicles: Sequence[VehicleChange]) -> Html | None:
             number(vehicle.moved_at_s, 1),
             number(vehicle.delay_s),
             number(vehicle.cubes) if vehicle.cubes else NOTHING,
-            number(vehicle.walls_m),
+            number(vehicle.walls_m, 3),
             number(vehicle.recorded_moved_m),
         )
         for vehicle in vehicles
@@ -220,7 +220,7 @@ def _orders(pairs: Sequence[PairChange]) -> Html | None:
 
 def _vehicle_figures(vehicles: Sequence[VehicleChange]) -> Html | None:
     rows = [
-        (name(vehicle.vehicle_id), name(change.key), prose(value(change.a)), prose(value(change.b)))
+        (name(vehicle.vehicle_id), name(change.key), *map(prose, values(change)))
         for vehicle in vehicles
         for change in vehicle.figures
     ]
@@ -231,22 +231,21 @@ def _vehicle_figures(vehicles: Sequence[VehicleChange]) -> Html | None:
 
 
 def _pictures(comparison: Comparison, a: Result, b: Result) -> dict[int, Html]:
-    """Pictures of the windows that differ most."""
-    worst = sorted(
-        comparison.windows, key=lambda w: -max((v.moved_m or 0.0 for v in w.vehicles), default=0.0)
-    )
+    """Pictures of the windows in which motions or corridors differ most."""
+    differing = [window for window in comparison.windows if window.vehicles or window.pairs]
+    worst = sorted(differing, key=lambda w: -max((v.moved_m or 0.0 for v in w.vehicles), default=0.0))
     found: dict[int, Html] = {}
     size = 0
     for window in worst[:_PICTURED]:
         if size > _PICTURES_LIMIT:
             break
-        shown = [
+        drawn = [
             captioned(
                 inline_svg(figure_bytes(figure, "svg"), f"w{window.index}-{kind}", _ALTERNATIVES[kind]),
                 _CAPTIONS[kind],
             )
             for kind, figure in draw_beside(a, b, window.index).items()
         ]
-        found[window.index] = join([element("h3", "Pictures"), shown])
+        found[window.index] = join([element("h3", "Pictures"), drawn])
         size += len(found[window.index])
     return found
