@@ -21,6 +21,7 @@ import polars as pl
 from istc_replay.coordinate import plan_window
 from istc_replay.datatypes import Log, WindowStatus
 from istc_replay.errors import ScenarioError
+from istc_replay.geometry import box_corners, shift_along
 from istc_replay.pipeline.replay import replay_read
 from istc_replay.samples.scenes import SAMPLES, find_sample, packaged_scene, record
 from istc_replay.scenario import build_scenarios
@@ -195,13 +196,22 @@ def _recorded_m(log: Log) -> float:
 
 
 def perturbed(scene: SceneFile, seed: int) -> SceneFile:
-    """Move every start and goal by up to 1 m along each axis and 5 degrees."""
+    """Move every start and goal by up to 1 m along each axis and 5 degrees.
+
+    A car that would stick out of the map is put back to its edge.
+    """
     random = np.random.default_rng(seed)
+    car = scene.vehicle.dimensions
+    edge = np.array([[scene.map.x_min_m, scene.map.y_min_m], [scene.map.x_max_m, scene.map.y_max_m]])
 
     def pose(of: Any) -> Any:
-        dx, dy = random.uniform(-PERTURBED_M, PERTURBED_M, 2)
-        turn = random.uniform(-PERTURBED_RAD, PERTURBED_RAD)
-        moved = {"x_m": of.x_m + dx, "y_m": of.y_m + dy, "heading_rad": of.heading_rad + turn}
+        x, y = np.array([of.x_m, of.y_m]) + random.uniform(-PERTURBED_M, PERTURBED_M, 2)
+        heading = of.heading_rad + random.uniform(-PERTURBED_RAD, PERTURBED_RAD)
+        centre = shift_along(x, y, heading, car.rear_axle_to_centre_m)
+        box = box_corners(centre[0], centre[1], heading, car.length_m, car.width_m)
+        # What sticks out on the one side, less what sticks out on the other.
+        back = np.maximum(edge[0] - box.min(axis=0), 0.0) - np.maximum(box.max(axis=0) - edge[1], 0.0)
+        moved = {"x_m": float(x + back[0]), "y_m": float(y + back[1]), "heading_rad": float(heading)}
         return of.model_copy(update=moved)
 
     vehicles = [v.model_copy(update={"start": pose(v.start), "goal": pose(v.goal)}) for v in scene.vehicles]
