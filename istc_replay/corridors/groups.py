@@ -14,12 +14,15 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from istc_replay.corridors.conflict_tree import CONFLICT_M, TOGETHER, Group, Tree
-from istc_replay.corridors.neighbourhoods import improve, join
+from istc_replay.corridors.neighbourhoods import improve, join, vehicle_costs
 from istc_replay.corridors.pivot_qp import Choices, PivotQp
 
 if TYPE_CHECKING:
     from istc_replay.corridors.problem import CorridorProblem
     from istc_replay.datatypes import FloatArray
+
+#: Variables of a QP that counts as one: eight vehicles for thirteen units.
+_USUAL = 208
 
 
 @dataclass(frozen=True, slots=True)
@@ -110,14 +113,56 @@ def _latest(solved: dict[Group, Tree]) -> list[Tree]:
     return list({id(tree): tree for tree in latest.values()}.values())
 
 
-def prove(problem: CorridorProblem, choices: Choices, node_budget: int) -> TreeOutcome:
-    """Bound eq. (3) of a problem that has a solution by these options, best first; it may be improved on."""
-    qp = PivotQp(problem)
-    tree = Tree(problem, qp, frozenset(range(len(problem.blocks))), node_budget, choices)
-    tree.plunge(choices, node_budget, first_only=True)
-    tree.prove(node_budget)
-    z = None if tree.best is None else problem.least_cubes(qp.z(tree.best))
-    return TreeOutcome(z, tree.nodes, tree.exhausted, tree.bound)
+def prove(problem: CorridorProblem, z: FloatArray, node_budget: int) -> TreeOutcome:
+    """Bound eq. (3) of a problem that has a solution, best first; where one tree holds all, improve on it.
+
+    Parameters
+    ----------
+    problem : CorridorProblem
+        The window's problem.
+    z : (n,) array
+        A solution: what costs more need not be searched.
+    node_budget : int
+        Largest number of QPs of the size of `_USUAL`; larger ones count for more.
+    """
+    qp, costs = PivotQp(problem), vehicle_costs(problem, z)
+    parts = _parts(problem, qp)
+    whole = len(parts) == 1
+    choice = tuple(enumerate(problem.separations.best(z).tolist()))
+    trees = []
+    for part in parts:
+        size = sum(2 * problem.blocks[vehicle].units for vehicle in part)
+        budget = max(1, round(node_budget / len(parts) * min(1.0, (_USUAL / size) ** 2)))
+        tree = Tree(problem, qp, part, budget, (), most=sum(costs[v] for v in part))
+        if whole:
+            tree.plunge(choice, budget, first_only=True)
+        tree.prove(budget)
+        trees.append(tree)
+    best = trees[0].best if whole else None
+    better = None if best is None else problem.least_cubes(qp.z(best))
+    exhausted = whole and trees[0].exhausted
+    return TreeOutcome(
+        better, sum(tree.nodes for tree in trees), exhausted, sum(tree.bound for tree in trees)
+    )
+
+
+def _parts(problem: CorridorProblem, qp: PivotQp) -> list[Group]:
+    """The vehicles in groups that a tree can hold, those together that are most in each other's way."""
+    everyone = tuple(range(len(problem.blocks)))
+    alone = qp.root(everyone, ())
+    if len(everyone) <= TOGETHER or alone is None:
+        return [frozenset(everyone)]
+    table = problem.separations
+    slack = table.slack(problem.least_cubes(qp.z(alone))).max(axis=1, initial=-np.inf)
+    depth = np.zeros((len(everyone), len(everyone)))
+    met = (slack < -CONFLICT_M) & ~table.obstacle
+    np.add.at(depth, (table.first[met], table.second[met]), -slack[met])
+    of = {vehicle: frozenset([vehicle]) for vehicle in everyone}
+    for i, j in sorted(np.argwhere(depth > 0.0).tolist(), key=lambda pair: (-depth[pair[0], pair[1]], pair)):
+        union = of[i] | of[j]
+        if len(union) <= TOGETHER:
+            of |= dict.fromkeys(union, union)
+    return list(dict.fromkeys(of.values()))
 
 
 def _names(problem: CorridorProblem, group: Group) -> tuple[str, ...]:

@@ -65,7 +65,7 @@ def _joined(
     placed: Group = frozenset()
     nodes = 0
     for vehicle in order:
-        costs = _costs(problem, z)
+        costs = vehicle_costs(problem, z)
         meetings = _meetings(problem, z, placed | {vehicle})
         # First it alone chooses, then also whom it meets, and whom they meet.
         for rings in range(3):
@@ -128,7 +128,7 @@ def _sweep(
     everyone = frozenset(range(len(problem.blocks)))
     nodes, limit = 0, _NEIGHBOURHOOD_NODES[size]
     while nodes < node_budget:
-        costs = _costs(problem, z)
+        costs = vehicle_costs(problem, z)
         part = _costliest_part(problem, z, costs, size, tried)
         if part is None:
             break
@@ -146,7 +146,7 @@ def _sweep(
     return z, nodes
 
 
-def _costs(problem: CorridorProblem, z: FloatArray) -> list[float]:
+def vehicle_costs(problem: CorridorProblem, z: FloatArray) -> list[float]:
     """Eq. (3) of each vehicle."""
     away = problem.quadratic * (z - problem.reference) ** 2
     return [float(away[block.pivot[1:]].sum()) for block in problem.blocks]

@@ -30,6 +30,8 @@ _QP_ROUNDING = 1e-6
 #: times s. It decides how good a bound is, not whether it is one.
 _DRIFT_COST = 0.2
 _LEAST_SHARE = 1e-3
+#: Probing decides a half of the binaries at most, or little more.
+_PROBED = 3
 
 
 def bound_by_parts(search: Search) -> None:
@@ -62,8 +64,7 @@ def prove_points(search: Search, config: CorridorsConfig) -> None:
         return
     began = time.perf_counter()
     problem = search.problem
-    choice = tuple(enumerate(problem.separations.best(search.z).tolist()))
-    tree = groups.prove(problem, choice, config.tree_proof_node_budget)
+    tree = groups.prove(problem, search.z, config.tree_proof_node_budget)
     search.exhausted = tree.exhausted
     search.reference_bound = max(search.reference_bound, tree.bound)
     status = SolveStatus.OPTIMAL if tree.exhausted else SolveStatus.FEASIBLE
@@ -79,10 +80,15 @@ def prove_points(search: Search, config: CorridorsConfig) -> None:
         fill(search, tree.z, config, sized=True)
 
 
-def probe(search: Search) -> CorridorProblem:
-    """Leave out options that make two vehicles alone dearer than the incumbent is altogether."""
+def probe(search: Search, config: CorridorsConfig) -> CorridorProblem:
+    """Leave out options that make two vehicles alone dearer than the incumbent is altogether.
+
+    A problem far too large for the outer approximation is left as it is.
+    """
     began = time.perf_counter()
     problem = search.problem
+    if problem.binaries > _PROBED * config.proof_binaries_max:
+        return problem
     # The sizes of the cubes gain at most this; what is left bounds eq. (3) of anything better.
     share = 0.05
     z = polish(problem, None, share=share)

@@ -73,7 +73,7 @@ def _prove(search: Search, scenario: Scenario, config: CorridorsConfig) -> None:
     if not len(problem.separations) or (scenario.traffic and problem.binaries > config.proof_binaries_max):
         return
     if not paper and search.z is not None:
-        problem = proof.probe(search)
+        problem = proof.probe(search, config)
     if problem.binaries <= config.proof_binaries_max:
         proof.approximate(search, problem, config, PAPER_BIG_M if paper else None)
 

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from istc_replay.corridors.groups import search
+from istc_replay.corridors.groups import prove, search
 from istc_replay.corridors.neighbourhoods import improve, join
 from istc_replay.corridors.pivot_qp import PivotQp
 from istc_replay.corridors.problem import CorridorProblem
@@ -82,3 +82,21 @@ def test_a_large_group_is_put_together_from_parts(
     assert not found.exhausted
     assert conflict(problem, found.z) <= 1e-5
     assert found.bound <= problem.reference_cost(found.z)
+
+
+@pytest.mark.parametrize("seed", [2, 5])
+def test_parts_bound_the_whole(
+    seed: int, monkeypatch: pytest.MonkeyPatch, crossing: Callable[..., Any]
+) -> None:
+    problem = crossing(seed, vehicles=4, units=6).problem()
+    best = search(problem, 8000)
+    assert best.exhausted
+    assert best.z is not None
+    optimum = problem.reference_cost(best.z)
+    whole = prove(problem, best.z, 8000)
+    assert whole.exhausted
+    assert optimum * (1 - 1e-3) <= whole.bound <= optimum * (1 + 1e-6)
+    monkeypatch.setattr("istc_replay.corridors.groups.TOGETHER", 2)
+    parts = prove(problem, best.z, 8000)
+    assert not parts.exhausted
+    assert 0.0 < parts.bound <= optimum * (1 + 1e-6)
