@@ -268,7 +268,8 @@ class Guidance:
     `points_m` (K+1, 2) and `headings_rad` (K+1,) at the unit boundaries of the vehicle, the
     first at its start; `times_s` (S,) from the window's start and `poses` (S, 3) for drawing
     and as the NLP's first guess. `kind` is recorded or lane. `slack_rad` (K+1,) is how far from
-    its heading the car may turn, None where the configuration tells it.
+    its heading the car may turn, None where the configuration tells it. `motion` is the drivable
+    motion that it tells of, where there is one: a plan that needs no change.
     """
 
     vehicle_id: str
@@ -279,6 +280,7 @@ class Guidance:
     times_s: FloatArray
     poses: FloatArray
     slack_rad: FloatArray | None = None
+    motion: Trajectory | None = None
 
 
 class SolveStatus(StrEnum):

@@ -23,7 +23,7 @@ from istc_replay.datatypes import (
     Window,
     read_only,
 )
-from istc_replay.geometry import box_corners, shift_along, to_frame, to_map
+from istc_replay.geometry import box_corners, shift_along
 from istc_replay.guidance.build import recorded_guidance
 from istc_replay.road_frame import heading_slack
 from istc_replay.tracks import swept_boxes
@@ -147,11 +147,7 @@ class Repairs:
             self._known[key] = window.frame, motion
             return motion, record
         frame, motion = self._known[key]
-        if motion is None:
-            return None, None
-        points = to_frame(to_map(motion.poses[:, :2], frame), window.frame)
-        headings = motion.poses[:, 2] + frame.yaw_rad - window.frame.yaw_rad
-        return replace(motion, poses=read_only(np.column_stack([points, headings]))), None
+        return None if motion is None else motion.moved(frame, window.frame), None
 
 
 def prepare(scenario: Scenario, config: Config, repairs: Repairs, speed_max_mps: float) -> Field:
@@ -184,9 +180,10 @@ def prepare(scenario: Scenario, config: Config, repairs: Repairs, speed_max_mps:
             dropped.append(participant)
             continue
         x, y, heading = motion.poses[0]
-        start = StartState(float(x), float(y), float(heading), float(motion.speeds_mps[0]))
+        start = StartState(float(x), float(y), float(heading), float(motion.driven.states[0, 4]))
         kept.append(replace(participant, start=start))
-        guidance.append(recorded_guidance(participant, scenario.window.unit_s, motion.times_s, motion.poses))
+        guide = recorded_guidance(participant, scenario.window.unit_s, motion.times_s, motion.poses)
+        guidance.append(replace(guide, motion=motion.driven))
     scenario = replace(_without(scenario, dropped), excluded=(*scenario.excluded, *excluded))
     scenario = replace(scenario, participants=tuple(kept))
     return _narrowed(scenario, tuple(guidance), config, records)

@@ -290,7 +290,7 @@ def test_a_noisy_recording_is_repaired_to_a_drivable_one() -> None:
     assert record.stage == "repair"
     assert motion.deviation_m < 0.25
     assert np.hypot(*(motion.poses[0, :2] - scenario.participants[0].recording.poses[0, :2])) < 0.04
-    acceleration = np.diff(motion.speeds_mps) / np.diff(motion.times_s)
+    acceleration = motion.driven.states[:, 5]
     assert acceleration.max() <= limits.acceleration_max_mps2 + 1e-6
     assert acceleration.min() >= -limits.deceleration_max_mps2 - 1e-6
 

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from istc_replay.bicycle import dense_motion
 from istc_replay.config import TrajectoriesConfig
 from istc_replay.datatypes import (
     Corridor,
@@ -13,6 +14,7 @@ from istc_replay.datatypes import (
     Guidance,
     Participant,
     SolveRecord,
+    SolveStatus,
     Trajectory,
     Undrivable,
     read_only,
@@ -76,8 +78,9 @@ class TrajectoryPlanner:
         Returns
         -------
         TrajectoryOutcome
-            A trajectory whose car-box stays in its cubes in continuous time (with the paper's
-            Euler integrator: at the knots), or the diagnosis by the soft twin.
+            The motion of the guidance where it stays in the corridor as it is. Else a trajectory whose
+            car-box stays in its cubes in continuous time (with the paper's Euler integrator: at the
+            knots), or the diagnosis by the soft twin.
 
         Raises
         ------
@@ -89,6 +92,9 @@ class TrajectoryPlanner:
         fault = task.start_fault(self._config)
         if fault is not None:
             return TrajectoryOutcome(None, fault, ())
+        unchanged = self._unchanged(task, guidance)
+        if unchanged is not None:
+            return unchanged
         records: list[SolveRecord] = []
         margin = self._config.margin_m
         found = self._drive(task, margin, task.first_guess(self._config), records)
@@ -100,7 +106,39 @@ class TrajectoryPlanner:
                 found = self._drive(task, 0.0, (soft.states, soft.controls), records)
             if found is None:
                 return TrajectoryOutcome(None, _diagnosis(task, soft, out), tuple(records))
-        return TrajectoryOutcome(_trajectory(task, found), None, tuple(records))
+        trajectory = _trajectory(task, found.states, found.controls, found.costs)
+        return TrajectoryOutcome(trajectory, None, tuple(records))
+
+    def _unchanged(self, task: Task, guidance: Guidance) -> TrajectoryOutcome | None:
+        """The motion of the guidance itself, where it stays in the corridor as it is."""
+        motion = guidance.motion
+        if motion is None:
+            return None
+        step_s = float(motion.times_s[1] - motion.times_s[0])
+        # Control intervals may be longer than a unit: cut them at its boundaries.
+        cut = max(1, round(step_s / task.grid.unit_s))
+        controls, per_unit = np.repeat(motion.controls, cut, axis=0), round(cut * task.grid.unit_s / step_s)
+        grid = Grid(task.grid.units, per_unit, step_s / cut, task.grid.points)
+        start = motion.states[0] - np.concatenate([task.origin_m, np.zeros(4)])
+        if len(controls) != grid.intervals:
+            return None
+        out = excess(grid, start, controls, task.dimensions, task.cubes_m)
+        if out.max() > _TOUCHING_M:
+            return None
+        dense, _, _ = dense_motion(start, controls, grid.step_s, task.dimensions.wheelbase_m, grid.step_s)
+        states = np.vstack([dense[:, 0], dense[-1, -1]])
+        own = replace(task, grid=grid)
+        costs = own.costs(states, controls, self._config)
+        record = SolveRecord(
+            layer="trajectory",
+            stage="unchanged",
+            solver="none",
+            status=SolveStatus.FEASIBLE,
+            vehicle_id=task.vehicle_id,
+            objective=sum(costs),
+            detail="the repaired recording stays in its corridor",
+        )
+        return TrajectoryOutcome(_trajectory(own, states, controls, costs), None, (record,))
 
     def _drive(
         self, task: Task, margin_m: float, guess: tuple[FloatArray, FloatArray], records: list[SolveRecord]
@@ -161,8 +199,10 @@ class TrajectoryPlanner:
         )
 
 
-def _trajectory(task: Task, solution: NlpSolution) -> Trajectory:
-    states = solution.states.copy()
+def _trajectory(
+    task: Task, states: FloatArray, controls: FloatArray, costs: tuple[float, float, float]
+) -> Trajectory:
+    states = states.copy()
     states[:, :2] += task.origin_m
     start_s = task.first_unit * task.grid.unit_s
     return Trajectory(
@@ -170,9 +210,9 @@ def _trajectory(task: Task, solution: NlpSolution) -> Trajectory:
         dimensions=task.dimensions,
         times_s=read_only(start_s + task.grid.knots_s),
         states=read_only(states),
-        controls=read_only(solution.controls),
-        cost=sum(solution.costs),
-        costs=dict(zip(COSTS, solution.costs, strict=True)),
+        controls=read_only(controls),
+        cost=sum(costs),
+        costs=dict(zip(COSTS, costs, strict=True)),
     )
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import time
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import casadi as ca
@@ -16,8 +16,16 @@ import numpy as np
 
 from istc_replay.bicycle import dense_motion
 from istc_replay.config import TrajectoriesConfig
-from istc_replay.datatypes import FloatArray, Participant, SolveRecord, SolveStatus, read_only
-from istc_replay.geometry import shift_along
+from istc_replay.datatypes import (
+    FloatArray,
+    Frame,
+    Participant,
+    SolveRecord,
+    SolveStatus,
+    Trajectory,
+    read_only,
+)
+from istc_replay.geometry import shift_along, to_frame, to_map
 from istc_replay.trajectories.nlp import _STATUS, _options, _pack, _rk4_step
 
 #: Weights of the distance to the recorded centres [1/m^2] and headings [1/rad^2], of steering rate, jerk
@@ -32,16 +40,27 @@ _SUBSTEPS = 6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RepairedMotion:
-    """A drivable motion near a recording, box centre, corridor frame.
+    """A drivable motion near a recording, corridor frame.
 
-    `times_s` (S,) from the window's start, `poses` (S, 3), `speeds_mps` (S,); `deviation_m` is the
-    largest distance from the recorded centre.
+    `driven` are its knots and controls, of the rear axle. `times_s` (S,) from the window's start and
+    `poses` (S, 3) sample the box centre; `deviation_m` is its largest distance from the recorded one.
     """
 
+    driven: Trajectory
     times_s: FloatArray
     poses: FloatArray
-    speeds_mps: FloatArray
     deviation_m: float
+
+    def moved(self, before: Frame, after: Frame) -> RepairedMotion:
+        """The motion in another frame."""
+        turn = before.yaw_rad - after.yaw_rad
+
+        def placed(rows: FloatArray) -> FloatArray:
+            points = to_frame(to_map(rows[:, :2], before), after)
+            return read_only(np.column_stack([points, rows[:, 2] + turn, rows[:, 3:]]))
+
+        driven = replace(self.driven, states=placed(self.driven.states))
+        return replace(self, driven=driven, poses=placed(self.poses))
 
 
 class RecordingRepairer:
@@ -95,8 +114,8 @@ class RecordingRepairer:
             p=np.concatenate([[size.wheelbase_m, size.rear_axle_to_centre_m], centres.ravel(), headings]),
             lbx=_pack(lower, -limit),
             ubx=_pack(upper, limit),
-            lbg=np.concatenate([[-_START_M, -_START_M], np.zeros(6 * intervals)]),
-            ubg=np.concatenate([[_START_M, _START_M], np.zeros(6 * intervals)]),
+            lbg=np.concatenate([[-_START_M, -_START_M], np.zeros(7 * intervals)]),
+            ubg=np.concatenate([[_START_M, _START_M], np.tile([0.0] * 6 + [speed_max_mps], intervals)]),
         )
         report = solver.stats()
         status = _STATUS.get(report["return_status"], SolveStatus.ERROR)
@@ -174,6 +193,8 @@ def _build(intervals: int, step_s: float, iterations: int) -> ca.Function:
         cost += _CURVATURE * (ca.tan(here[3]) / size[0]) ** 2
     for i, held in enumerate(controls):
         rows.append(step(states[i], held, size[0]) - states[i + 1])
+        # The speed's Bezier point: with it, the speed keeps its limits between the knots too.
+        rows.append(states[i][4] + states[i][5] * (step_s / 2))
         cost += _STEERING_RATE * held[0] ** 2 + _JERK * held[1] ** 2
     x = ca.vertcat(*(ca.vertcat(*pair) for pair in zip(states, controls, strict=False)), states[-1])
     problem: dict[str, Any] = {
@@ -194,17 +215,23 @@ def _motion(
     origin_m: FloatArray,
 ) -> RepairedMotion:
     size, recording = participant.dimensions, participant.recording
-    dense, _, _ = dense_motion(start, controls, step_s, size.wheelbase_m, _STEP_S / _SUBSTEPS)
+    dense, _, spacing_s = dense_motion(start, controls, step_s, size.wheelbase_m, _STEP_S / _SUBSTEPS)
     states = np.vstack([dense[:, :-1].reshape(-1, 6), dense[-1, -1]])
+    states[:, :2] += origin_m
     per_interval = dense.shape[1] - 1
-    centres = shift_along(states[:, 0], states[:, 1], states[:, 2], size.rear_axle_to_centre_m) + origin_m
-    times = np.asarray(first_s + np.arange(len(states)) * (step_s / per_interval), dtype=np.float64)
+    centres = shift_along(states[:, 0], states[:, 1], states[:, 2], size.rear_axle_to_centre_m)
+    times = np.asarray(first_s + np.arange(len(states)) * spacing_s, dtype=np.float64)
     off = np.asarray(centres) - np.asarray(_at(recording.times_s, recording.poses[:, :2], times))
-    away = np.hypot(off[:, 0], off[:, 1])
-    poses = np.column_stack([centres, states[:, 2]])
-    return RepairedMotion(
-        read_only(times), read_only(poses), read_only(np.maximum(states[:, 4], 0.0)), float(away.max())
+    knots = Trajectory(
+        vehicle_id=participant.vehicle_id,
+        dimensions=size,
+        times_s=read_only(first_s + np.arange(len(controls) + 1) * step_s),
+        states=read_only(states[::per_interval]),
+        controls=read_only(controls),
+        cost=0.0,
     )
+    poses = read_only(np.column_stack([centres, states[:, 2]]))
+    return RepairedMotion(knots, read_only(times), poses, float(np.hypot(*off.T).max()))
 
 
 def _at(times_s: FloatArray, points_m: FloatArray, at_s: FloatArray) -> FloatArray:

@@ -149,6 +149,19 @@ class Task:
         states = np.column_stack([axle, headings, steering, speeds, np.zeros_like(speeds)])
         return states, np.zeros((grid.intervals, 2))
 
+    def costs(
+        self, states: FloatArray, controls: FloatArray, config: TrajectoriesConfig
+    ) -> tuple[float, float, float]:
+        """Eq. (13), (14), (15) of states (S, 6) and controls (S-1, 2) at the grid's knots."""
+        x, y, heading, steering = states[:, :4].T
+        off = shift_along(x, y, heading, self.dimensions.rear_axle_to_centre_m) - self._over_time(
+            self.pivots_m
+        )
+        curvature = np.tan(steering) / self.dimensions.wheelbase_m
+        comfort = [config.steering_rate_weight, config.jerk_weight] @ (controls**2).sum(axis=0)
+        pivotal = [config.pivotal_x_weight, config.pivotal_y_weight] @ (off**2).sum(axis=0)
+        return config.curvature_weight * float(curvature @ curvature), float(comfort), float(pivotal)
+
     def _over_time(self, values: FloatArray) -> FloatArray:
         """Values (K+1, ...) at unit boundaries, linear in time at the knots (S, ...)."""
         grid = self.grid
