@@ -446,13 +446,39 @@ class RecordedGap:
 
 
 @dataclass(frozen=True, slots=True)
+class Change:
+    """What a plan changed of one vehicle's guidance; zeros where nothing had to change.
+
+    `delay_s`: at the plan's end, later (negative: earlier) than the guidance at the same place.
+    `deviation_m`, `lateral_m`: the largest distance from the guidance at the same instant, and
+    across its path. `acceleration_rms_mps2`, `braking_mps2`: rise of the root mean square
+    acceleration, and of the hardest braking. `clearance_m`: least gap to any other road user as
+    planned, and `clearance_gained_m` what that is more than by guidance; None where nobody is near.
+    """
+
+    vehicle_id: str
+    changed: bool
+    delay_s: float = 0.0
+    deviation_m: float = 0.0
+    lateral_m: float = 0.0
+    acceleration_rms_mps2: float = 0.0
+    braking_mps2: float = 0.0
+    clearance_m: float | None = None
+    clearance_gained_m: float | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class WindowOutcome:
-    """A window's plan as its certificates judge it, the least gap of its recording, and both compared."""
+    """A window's plan as its certificates judge it, the least gap of its recording, and both compared.
+
+    `changes` are what coordination changed of the guidance, for vehicles that have a trajectory.
+    """
 
     plan: WindowPlan
     certificates: tuple[Certificate, ...] = ()
     recorded: RecordedGap | None = None
     against_plan: tuple[dict[str, Any], ...] = ()  # rows of AGAINST_PLAN_SCHEMA
+    changes: tuple[Change, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -28,12 +28,16 @@ _MOST_RAD, _LEAST_RAD = np.radians(25.0), np.radians(1.0)
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Body:
-    """A road user's poses (K+1, 3) at the boundaries of its units from `first_unit` on, and its box [m]."""
+    """A road user's poses (K+1, 3) at the boundaries of its units from `first_unit` on, and its box [m].
+
+    One that is not `planned` moves as recorded.
+    """
 
     first_unit: int
     poses: FloatArray
     length_m: float
     width_m: float
+    planned: bool = True
 
 
 def heading_slack(poses: FloatArray, unit_s: float) -> FloatArray:
@@ -57,9 +61,12 @@ def conflicts(bodies: Sequence[Body], units: int, unit_s: float, yaw_rad: float)
     """
     boxes = np.full((len(bodies), units, 4), np.nan)
     for row, body in enumerate(bodies):
-        least = _least_boxes(body, unit_s, yaw_rad)
+        least = least_boxes(body, unit_s, yaw_rad)
         boxes[row, body.first_unit : body.first_unit + len(least)] = least
     first, second = np.triu_indices(len(bodies), 1)
+    planned = np.array([body.planned for body in bodies], dtype=bool)
+    concerned = planned[first] | planned[second]
+    first, second = first[concerned], second[concerned]
     a, b = boxes[first], boxes[second]  # (P, N, 4)
     apart = np.maximum(a[..., 0::2] - b[..., 1::2], b[..., 0::2] - a[..., 1::2]).max(axis=-1)  # (P, N)
     both = ~np.isnan(apart)
@@ -75,9 +82,10 @@ def road_yaw(bodies: Sequence[Body], units: int, unit_s: float) -> float:
     Candidates are the road users' headings modulo a right angle, the most frequent, and 0; the best
     is refined. The result lies within a quarter turn that the longest way of the traffic starts.
     """
-    if not bodies:
+    planned = [body for body in bodies if body.planned]
+    if not planned:
         return 0.0
-    headings = np.concatenate([body.poses[:, 2] for body in bodies]) % (np.pi / 2)
+    headings = np.concatenate([body.poses[:, 2] for body in planned]) % (np.pi / 2)
     # Bins about the mean direction, so that a turned log has turned candidates.
     mean = float(np.angle(np.exp(4j * headings).mean())) / 4.0
     off = (headings - mean + np.pi / 4) % (np.pi / 2) - np.pi / 4
@@ -92,7 +100,7 @@ def road_yaw(bodies: Sequence[Body], units: int, unit_s: float) -> float:
     return float(min((best + step for step in _REFINEMENTS_RAD), key=cost))
 
 
-def _least_boxes(body: Body, unit_s: float, yaw_rad: float) -> FloatArray:
+def least_boxes(body: Body, unit_s: float, yaw_rad: float) -> FloatArray:
     """Hulls (K, 4) of the car-boxes at both ends of each unit, in a frame of this yaw."""
     centres = rotate(body.poses[:, :2], -yaw_rad)
     slack = np.minimum(heading_slack(body.poses, unit_s), _NEAR_RAD)

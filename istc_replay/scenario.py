@@ -26,10 +26,10 @@ from istc_replay.datatypes import (
     read_only,
 )
 from istc_replay.geometry import box_corners, rotate, to_frame
-from istc_replay.road_frame import Body, conflicts, road_yaw
+from istc_replay.road_frame import Body, conflicts, least_boxes, road_yaw
 from istc_replay.tracks import RoadUser, UsableTrack, road_users, swept_boxes, usable_track
 from istc_replay.units import seconds_to_ns
-from istc_replay.windows import CALM_UNIT_S, LogPart, first_unit_s, log_parts
+from istc_replay.windows import CALM_UNITS_S, LogPart, first_unit_s, log_parts
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -70,11 +70,11 @@ def build_scenario(
         users = road_users(part.states)
     if unit_s is None:
         unit_s = first_unit_s(config.window, traffic=part.traffic)
-        long_enough = part.span[1] >= seconds_to_ns(CALM_UNIT_S)
-        if part.traffic and config.window.unit_s == "auto" and long_enough:
-            calm = _Builder.of(part, users, config, CALM_UNIT_S)
-            if calm.calm():
-                return calm.scenario()
+        for longer in CALM_UNITS_S if part.traffic and config.window.unit_s == "auto" else ():
+            if part.span[1] >= seconds_to_ns(longer):
+                calm = _Builder.of(part, users, config, longer)
+                if calm.calm():
+                    return calm.scenario()
     return _Builder.of(part, users, config, unit_s).scenario()
 
 
@@ -125,12 +125,18 @@ class _Builder:
                 self.usable[vehicle_id] = found
 
     def bodies(self) -> list[Body]:
-        """The vehicles to plan, for the choice of the frame."""
+        """The vehicles to plan, and who moves as recorded, for the choice of frame and time unit."""
         found = []
-        for vehicle_id, usable in self.usable.items():
-            size = self.size(vehicle_id)[0]
-            poses = usable.at_units(self.window.unit_s)
-            found.append(Body(usable.first_unit, poses, size.length_m, size.width_m))
+        for vehicle_id, user in self.users.items():
+            track: UsableTrack | Exclusion | None = self.usable.get(vehicle_id)
+            planned = track is not None
+            if track is None:
+                anyone = self.config.window.model_copy(update={"minimum_presence_units": 1})
+                track = usable_track(user, self.window, anyone, traffic=False)
+            if isinstance(track, UsableTrack):
+                size = self.size(vehicle_id)[0]
+                poses = track.at_units(self.window.unit_s)
+                found.append(Body(track.first_unit, poses, size.length_m, size.width_m, planned))
         return found
 
     def turn(self, yaw_rad: float) -> None:
@@ -139,8 +145,21 @@ class _Builder:
         self.usable = {name: usable.turned(yaw_rad) for name, usable in self.usable.items()}
 
     def calm(self) -> bool:
-        """Whether the recording has no conflict."""
-        return conflicts(self.bodies(), self.window.units, self.window.unit_s, 0.0)[1] == 0
+        """Whether the recording has no conflict, obstacles and those that enter or leave included."""
+        unit_s, bodies = self.window.unit_s, [body for body in self.bodies() if body.planned]
+        if conflicts(bodies, self.window.units, unit_s, 0.0)[1]:
+            return False
+        obstacles = {name: found for name in self.users if (found := self.obstacle(name)) is not None}
+        for name, body in zip(self.usable, bodies, strict=True):
+            own, units = (
+                least_boxes(body, unit_s, 0.0),
+                slice(body.first_unit, body.first_unit + len(body.poses) - 1),
+            )
+            for other in (o.boxes_m[units] for o in obstacles.values() if o.obstacle_id != name):
+                apart = np.maximum(own[:, 0::2] - other[:, 1::2], other[:, 0::2] - own[:, 1::2]).max(axis=1)
+                if (apart < 0.0).any():
+                    return False
+        return True
 
     def size(self, vehicle_id: str) -> tuple[Dimensions, str]:
         """Dimensions of a road user, and where they come from."""

@@ -113,14 +113,16 @@ def test_a_slow_log_is_a_scene_and_a_fast_one_traffic() -> None:
 
 
 def test_the_time_unit_is_long_only_where_the_recording_has_no_conflict_at_it() -> None:
-    calm = log_of(driver("1"), driver("2", 8.0))
-    close = log_of(driver("1"), driver("2", 0.0, 9.0))
-    assert next(iter(build_scenarios(calm, Config()))).window.unit_s == 1.0
-    assert next(iter(build_scenarios(close, Config()))).window.unit_s == 0.5
-    assert (
-        next(iter(build_scenarios(close, Config.model_validate({"window": {"unit_s": 0.25}})))).window.unit_s
-        == 0.25
-    )
+    def unit_s(ahead_m: float, config: Config = FAST, lane_m: float = 0.0) -> float:
+        """The time unit of two cars, 4.5 m long, at 12 m/s."""
+        log = log_of(driver("1"), driver("2", lane_m, ahead_m))
+        return next(iter(build_scenarios(log, config))).window.unit_s
+
+    assert unit_s(0.0, lane_m=8.0) == 1.0
+    assert unit_s(11.5) == 0.5  # 7 m between the bumpers, 6 m of way in half a second
+    assert unit_s(9.0) == 0.25
+    assert unit_s(6.7) == 0.5  # a conflict at any of them: half a second first
+    assert unit_s(11.5, Config.model_validate({"window": {"unit_s": 0.25}})) == 0.25
 
 
 def test_the_frame_turns_to_the_road() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 
     from istc_replay.datatypes import (
         Certificate,
+        Change,
         Log,
         Participant,
         RecordedGap,
@@ -109,6 +111,8 @@ def _totals(log: Log, windows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
         "vehicles_present": total("vehicles_present"),
         "vehicles_plannable": total("vehicles_plannable"),
         "vehicles_certified": total("vehicles_certified"),
+        "vehicles_changed": sum(w["coordination"]["vehicles_changed"] for w in windows),
+        "delay_s": sum(w["coordination"]["delay_s"] for w in windows),
         "log_s": span / NS_PER_S,
     }
 
@@ -117,6 +121,7 @@ def _window(outcome: WindowOutcome) -> dict[str, Any]:
     plan, certificates = outcome.plan, outcome.certificates
     scenario, window, corridors = plan.scenario, plan.scenario.window, plan.corridors
     certified = plan.status in (WindowStatus.CERTIFIED, WindowStatus.PARTIAL)
+    told = outcome.changes if certified else ()
     reasons = [e.reason for e in scenario.excluded]
     return {
         "index": window.index,
@@ -154,7 +159,19 @@ def _window(outcome: WindowOutcome) -> dict[str, Any]:
         "trajectories": {"seconds": plan.seconds.get("trajectories", 0.0)},
         "certificate": _certificate(certificates),
         "recorded": _recorded(outcome.recorded, window.start_ns),
-        "vehicles": _vehicles(scenario, plan, outcome.against_plan),
+        "coordination": _coordination(told),
+        "vehicles": _vehicles(scenario, plan, outcome.against_plan, told),
+    }
+
+
+def _coordination(told: Sequence[Change]) -> dict[str, Any]:
+    """What coordination changed in a window: sums, and the most of any vehicle."""
+    return {
+        "vehicles_changed": sum(change.changed for change in told),
+        "delay_s": sum(change.delay_s for change in told),
+        "deviation_most_m": max((change.deviation_m for change in told), default=0.0),
+        "lateral_most_m": max((change.lateral_m for change in told), default=0.0),
+        "clearance_least_m": min((c.clearance_m for c in told if c.clearance_m is not None), default=None),
     }
 
 
@@ -187,11 +204,15 @@ def _recorded(gap: RecordedGap | None, start_ns: int) -> dict[str, Any] | None:
 
 
 def _vehicles(
-    scenario: Scenario, plan: WindowPlan, against_plan: Sequence[dict[str, Any]]
+    scenario: Scenario,
+    plan: WindowPlan,
+    against_plan: Sequence[dict[str, Any]],
+    changes: Sequence[Change],
 ) -> list[dict[str, Any]]:
     corridors = {c.vehicle_id: c for c in (plan.corridors.corridors if plan.corridors else ())}
     guidance = {g.vehicle_id: g for g in plan.guidance}
     trajectories = {t.vehicle_id: t for t in plan.trajectories}
+    changed = {change.vehicle_id: asdict(change) for change in changes}
     compared = {row["vehicle_id"]: row for row in against_plan}
     rows = []
     for participant in scenario.participants:
@@ -199,6 +220,8 @@ def _vehicles(
         against = compared.get(participant.vehicle_id, {})
         told = {key: value for key, value in against.items() if key not in _OF_THE_WINDOW}
         row["recorded_against_plan"] = told or None
+        change = changed.get(participant.vehicle_id)
+        row["coordination"] = change and {key: change[key] for key in change if key != "vehicle_id"}
         guide = guidance.get(participant.vehicle_id)
         row["guidance"] = None if guide is None else guide.kind
         corridor = corridors.get(participant.vehicle_id)

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 
 def judged(plan: WindowPlan, part: LogPart, config: Config) -> WindowOutcome:
     """Certify one window's plan from the bytes of a result that holds it, and tell what was recorded."""
+    from istc_replay.changes import changes
     from istc_replay.safety.recorded import least_recorded_gap
 
     began = time.perf_counter()
@@ -29,7 +30,7 @@ def judged(plan: WindowPlan, part: LogPart, config: Config) -> WindowOutcome:
     seconds = {**plan.seconds, "certificate": time.perf_counter() - began}
     verdict = replace(_with_verdict(plan, certificates), seconds=seconds)
     sound = verdict.status in (WindowStatus.CERTIFIED, WindowStatus.PARTIAL)
-    return WindowOutcome(verdict, certificates, gap, against if sound else ())
+    return WindowOutcome(verdict, certificates, gap, against if sound else (), changes(plan) if sound else ())
 
 
 def _certified(

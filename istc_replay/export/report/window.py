@@ -78,6 +78,7 @@ def _vehicles(entry: Row, swatch: Callable[[str], Html]) -> Html:
             ("Vehicles present", number(entry.get("vehicles_present"))),
             ("Plannable", number(entry.get("vehicles_plannable"))),
             ("Certified", number(entry.get("vehicles_certified"))),
+            ("Changed by coordination", number((entry.get("coordination") or {}).get("vehicles_changed"))),
         ]
     )
     rows = [
@@ -90,6 +91,7 @@ def _vehicles(entry: Row, swatch: Callable[[str], Html]) -> Html:
             number(vehicle.get("pivot_deviation_m"), 2),
             number(vehicle.get("speed_std_mps"), 2),
             number(vehicle.get("length_m"), 1),
+            *_changed(vehicle.get("coordination") or {}),
             name(vehicle.get("dimensions_source") or NOTHING),
         )
         for vehicle in entry.get("vehicles") or []
@@ -103,14 +105,27 @@ def _vehicles(entry: Row, swatch: Callable[[str], Html]) -> Html:
         "deviation [m]",
         "speed σ [m/s]",
         "path [m]",
+        "delay [s]",
+        "moved [m]",
+        "comfort [m/s²]",
+        "clearance [m]",
         "size from",
     )
     caption = (
         "Plannable vehicles: priority weight, area of all corridor-cubes, mean distance of the pivotal "
-        "points from their references, standard deviation of the planned speed, length of the planned path"
+        "points from their references, standard deviation of the planned speed, length of the planned path; "
+        "then what coordination changed of the guidance (in traffic the recording, repaired): delay at the "
+        "end, largest distance at the same instant, rise of the mean acceleration, gain of the least gap to "
+        "any other road user. Zeros: nothing had to change"
     )
-    listed = table(caption, headings, rows, (1, 4, 5, 6, 7)) if rows else None
+    listed = table(caption, headings, rows, (1, 4, 5, 6, 7, 8, 9, 10, 11)) if rows else None
     return join([element("h3", "Vehicles"), counts, listed])
+
+
+def _changed(change: Row) -> tuple[Html | str, ...]:
+    """Cells of what coordination changed of a vehicle."""
+    names = (("delay_s", 2), ("deviation_m", 2), ("acceleration_rms_mps2", 2), ("clearance_gained_m", 2))
+    return tuple(number(change.get(key), digits) for key, digits in names)
 
 
 def _units(vehicle: Row) -> str:
