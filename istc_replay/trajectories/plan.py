@@ -118,7 +118,7 @@ class TrajectoryPlanner:
         # Control intervals may be longer than a unit: cut them at its boundaries.
         cut = max(1, round(step_s / task.grid.unit_s))
         controls, per_unit = np.repeat(motion.controls, cut, axis=0), round(cut * task.grid.unit_s / step_s)
-        grid = Grid(task.grid.units, per_unit, step_s / cut, task.grid.points)
+        grid = Grid(task.grid.units, per_unit, step_s / cut)
         start = motion.states[0] - np.concatenate([task.origin_m, np.zeros(4)])
         if len(controls) != grid.intervals:
             return None
