@@ -64,7 +64,7 @@ def _space_time_tabs(tab: int) -> rrb.Tabs:
     planned = ["/space_time/planned/**", "/now/planned/box/**", f"{quiet}/planned/**"]
     recorded = ["/space_time/recorded/**", "/now/recorded/box/**"]
     contents = {
-        "corridors x-y-t: both": planned + recorded,
+        "corridors x-y-t: both": [*planned[:2], *recorded, f"{quiet}/**"],
         "planned": planned,
         "recorded": [*recorded, "/now/names/**"],
     }
@@ -89,7 +89,7 @@ def _above_tabs(tab: int) -> rrb.Tabs:
     shared = ["/now/shared/**"]
     planned, recorded = ["/now/planned/**"], ["/now/recorded/**"]
     quiet = "/now/quiet"
-    both = [*planned, *recorded, f"{quiet}/planned/**", f"{quiet}/recorded/**"]
+    both = [*planned, *recorded, f"{quiet}/**"]
     tabs = {
         "top-down: both": (both, "camera", False),
         "planned": ([*planned, f"{quiet}/planned/**"], "camera", False),
@@ -114,9 +114,9 @@ def _above_tabs(tab: int) -> rrb.Tabs:
     )
 
 
-def _names(shown: bool) -> list[rr.Boxes3D]:
-    """Whether boxes are named that do not say so themselves."""
-    return [rr.Boxes3D.from_fields(show_labels=shown)]
+def _names(shown: bool) -> list[rr.Boxes3D | rr.Points3D]:
+    """Whether boxes and marks are named that do not say so themselves."""
+    return [kind.from_fields(show_labels=shown) for kind in (rr.Boxes3D, rr.Points3D)]
 
 
 def _hidden(root: str) -> dict[str, rrb.EntityBehavior]:

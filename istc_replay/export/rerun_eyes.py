@@ -15,6 +15,8 @@ _FOV_RAD = 0.9
 _EYE_AZIMUTH_RAD, _EYE_ELEVATION_RAD, _EYE_TURN_RAD = -1.05, 0.5, 0.35
 #: Distance of the oblique eye in radii of the scene, and the share of the height that it looks at.
 _EYE_RADII, _EYE_HEIGHT = 0.7, 0.4
+#: A long scene is seen from that much further away.
+_EYE_BACK = 0.15
 #: The close-up shows this much around those whom it follows [m], and moves as often.
 _CLOSE_M = 12.0
 _STEP_NS = 100_000_000
@@ -45,13 +47,14 @@ def _oblique(stage: Stage) -> list[Chunk]:
     for span in stage.spans:
         ground = stage.grounds[span.index]
         # A long scene is seen rather from its side.
-        aside = _EYE_TURN_RAD * np.tanh(np.log(ground.half_m[0] / ground.half_m[1]))
-        azimuth, flat = ground.yaw_rad + _EYE_AZIMUTH_RAD - aside, np.cos(_EYE_ELEVATION_RAD)
+        long = float(np.tanh(np.log(ground.half_m[0] / ground.half_m[1])))
+        azimuth = ground.yaw_rad + _EYE_AZIMUTH_RAD - _EYE_TURN_RAD * long
+        flat = np.cos(_EYE_ELEVATION_RAD)
         look = -np.array([flat * np.cos(azimuth), flat * np.sin(azimuth), np.sin(_EYE_ELEVATION_RAD)])
         right = np.array([-np.sin(azimuth), np.cos(azimuth), 0.0])
         turns.append(np.column_stack([right, np.cross(look, right), look]))  # the image's right, down, ahead
         top = span.duration_s * stage.metres_per_second
-        radius = np.linalg.norm([*ground.half_m, top / 2.0])
+        radius = np.linalg.norm([*ground.half_m, top / 2.0]) * (1.0 + _EYE_BACK * abs(long))
         centre = np.append(ground.centre_m, _EYE_HEIGHT * top)
         places.append(centre - look * _EYE_RADII * radius / np.sin(_FOV_RAD / 2.0))
     path, rows = entity("camera"), len(places)

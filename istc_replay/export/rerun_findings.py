@@ -20,6 +20,8 @@ _LEVELS = {"critical": "CRITICAL", "serious": "ERROR", "minor": "WARN"}
 _COLOURS: dict[str, Colour] = {"critical": (220, 50, 40), "serious": (230, 110, 20), "minor": (190, 150, 20)}
 #: Of more findings the worst are shown.
 _LINES, _MARKS, _LISTED = 10_000, 300, 12
+#: A mark is seen for so long at least.
+_SHORTEST_NS = 500_000_000
 
 
 def worst_first(findings: pl.DataFrame) -> pl.DataFrame:
@@ -55,25 +57,43 @@ def _after(detail: str | None) -> str:
 
 
 def finding_chunks(stage: Stage) -> list[Chunk]:
-    """Marks where findings are worst: on the present plane while they last, and in (x, y, t)."""
-    placed = stage.result.findings.filter(pl.col("x_m").is_finite() & pl.col("y_m").is_finite())
+    """Marks where findings are worst: on the present plane while they last, and in (x, y, t).
+
+    One mark tells of all findings of the same vehicles in a row. Minor ones are quiet.
+    """
     chunks: list[Chunk] = []
-    for row in worst_first(placed).head(_MARKS).iter_rows(named=True):
+    for row, more in _marks(stage.result.findings):
         point = at_height([[row["x_m"] - stage.origin_m[0], row["y_m"] - stage.origin_m[1]]], 0.0)
         colour = _COLOURS.get(row["severity"] or "", LANE)
-        name = label(row["finding_id"])
-        ring = same(rr.Points3D, colors=(*colour, 160), radii=ui_radius(9.0))
-        words = same(rr.Points3D, labels=f"{row['severity'] or row['verdict']}: {label(row['rule'])}")
-        path = entity("now", "shared", "findings", name)
-        times = ([row["start_ns"]], [max(row["end_ns"], row["start_ns"] + 500_000_000)])
+        place = ("shared",) if row["severity"] in ("critical", "serious") else ("quiet",)
+        ring = same(rr.Points3D, colors=(*colour, 160), radii=ui_radius(8.0))
+        told = f"{row['severity'] or row['verdict']}: {label(row['rule'])}" + (f" + {more}" if more else "")
+        path = entity("now", *place, "findings", label(row["finding_id"]))
+        times = ([row["start_ns"]], [max(row["end_ns"], row["start_ns"] + _SHORTEST_NS)])
+        words = same(rr.Points3D, labels=told)
         chunks += shown(stage.clock, path, *times, each(rr.Points3D, positions=point), ring, words)
         span = next((s for s in stage.spans if s.start_ns <= row["worst_ns"] <= s.shown_end_ns), None)
         if span is not None:
             lifted = point + np.array([0.0, 0.0, float(stage.height_m(span, row["worst_ns"]))])
-            path = entity("space_time", "shared", "findings", name)
+            path = entity("space_time", *place, "findings", label(row["finding_id"]))
             rows = each(rr.Points3D, positions=lifted)
             chunks += shown(stage.clock, path, *stage.overview([span]), rows, ring)
     return chunks
+
+
+def _marks(findings: pl.DataFrame) -> list[tuple[dict[str, Any], int]]:
+    """The worst finding of each row of findings of the same vehicles, and how many more there are."""
+    placed = worst_first(findings.filter(pl.col("x_m").is_finite() & pl.col("y_m").is_finite()))
+    marks: dict[tuple[str, ...], list[tuple[dict[str, Any], int]]] = {}
+    for row in placed.head(_LINES).iter_rows(named=True):
+        own = marks.setdefault(tuple(sorted(row["vehicles"] or ())), [])
+        for place, (worst, more) in enumerate(own):
+            if row["start_ns"] <= worst["end_ns"] and row["end_ns"] >= worst["start_ns"]:
+                own[place] = worst, more + 1
+                break
+        else:
+            own.append((row, 0))
+    return [mark for own in marks.values() for mark in own][:_MARKS]
 
 
 def findings_text(stage: Stage, span: Span) -> str:

@@ -30,7 +30,7 @@ _EYE_AZIMUTH_RAD, _EYE_ELEVATION_RAD = -1.05, 0.5
 _EYE_RADII, _EYE_HEIGHT = 0.62, 0.38
 _DASH_S = 0.25
 #: Foot of the ruler in shares of the ground's half sides.
-_RULER = (-1.0, -0.55)
+_RULER = (-1.0, -0.3)
 _TICKS_S = (1.0, 2.0, 5.0, 10.0, 30.0, 60.0, 300.0, 3600.0)
 
 
