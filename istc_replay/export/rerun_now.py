@@ -30,7 +30,7 @@ from istc_replay.export.rerun_chunks import (
     static,
     ui_radius,
 )
-from istc_replay.export.rerun_space_time import FILL, line_chunks, ruler_foot
+from istc_replay.export.rerun_space_time import FILL, line_chunks
 from istc_replay.export.rerun_stage import Stage, local_cubes
 from istc_replay.geometry import box_corners
 
@@ -39,6 +39,8 @@ _STEP_NS = 100_000_000
 #: Heights above the present plane [m].
 _MAP_Z, _CUBE_Z = 0.0, 0.04
 _FLAT_M = 0.01
+#: Where the present time is written, and the corners of its plane, in shares of the ground's half sides.
+_POINTER = (-1.0, -0.62)
 _SQUARE = ((-1.0, -1.0), (1.0, -1.0), (1.0, 1.0), (-1.0, 1.0), (-1.0, -1.0))
 
 
@@ -74,13 +76,15 @@ def _plane(stage: Stage) -> list[Chunk]:
 
 
 def _pointer(stage: Stage, times_ns: IntArray) -> list[Chunk]:
-    """The present time, written where its plane meets the ruler."""
+    """The present time, written at the edge of its plane, beside the ruler's marks."""
     spans = np.searchsorted([span.start_ns for span in stage.spans], times_ns, side="right") - 1
-    feet = np.array([ruler_foot(stage, span) for span in stage.spans])[spans]
+    places = [stage.grounds[span.index].points([_POINTER])[0] for span in stage.spans]
     seconds = (times_ns - stage.clock.origin_ns) / 1e9
     path, style = entity("now", "square", "time"), {"colors": [_NOW], "radii": [ui_radius(4.0)]}
     rows = each(
-        rr.Points3D, positions=at_height(feet, 0.0), labels=[f"now: {second:.1f} s" for second in seconds]
+        rr.Points3D,
+        positions=at_height(np.array(places)[spans], 0.0),
+        labels=[f"now: {second:.1f} s" for second in seconds],
     )
     return [
         static(path, rr.Points3D.columns(**style, show_labels=[True])),

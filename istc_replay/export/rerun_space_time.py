@@ -46,7 +46,7 @@ def space_time_chunks(stage: Stage) -> list[Chunk]:
     return chunks
 
 
-def ruler_foot(stage: Stage, span: Span) -> tuple[float, float]:
+def _ruler_foot(stage: Stage, span: Span) -> tuple[float, float]:
     """Where a window's ruler of time stands: at the side that the eye sees on the left."""
     x, y = stage.grounds[span.index].points([_RULER])[0].tolist()
     return x, y
@@ -58,7 +58,7 @@ def _ruler(stage: Stage) -> list[Chunk]:
     names: list[str] = []
     counts = []
     for span in stage.spans:
-        x, y = ruler_foot(stage, span)
+        x, y = _ruler_foot(stage, span)
         step_s = next((s for s in _TICKS_S if span.duration_s / s <= 7.0), span.duration_s)
         ticks_s = np.arange(0.0, span.duration_s + 1e-9, step_s)
         offset_s = (span.start_ns - stage.clock.origin_ns) / 1e9
