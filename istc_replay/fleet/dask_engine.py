@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import queue
 import select
 import threading
@@ -51,26 +52,22 @@ class DaskEngine:
     def __init__(self, scheduler: str | None, jobs: int, limits: Limits, tries: int) -> None:
         try:
             import dask
-            from distributed import Client, LocalCluster
+            from distributed import Client
         except ImportError:
             raise UsageError("--engine dask needs Dask; install istc-replay[dask]") from None
-        self._limits, self._cluster = limits, None
+        self._limits = limits
+        self._cluster: Any = None
         self._ended: queue.SimpleQueue[Any] = queue.SimpleQueue()
         self._futures: dict[Any, Job] = {}
         self._threads, self._counted, self._seen = 0, 0.0, time.monotonic()
         dask.config.set({"distributed.scheduler.allowed-failures": tries - 1})
-        if scheduler is None:
-            self._cluster = LocalCluster(
-                n_workers=jobs,
-                threads_per_worker=1,
-                host="127.0.0.1",
-                dashboard_address="127.0.0.1:0",
-                memory_limit=f"{limits.memory_mb:.0f}MB",
-            )
         try:
+            if scheduler is None:
+                self._cluster = _local_cluster(jobs, limits)
             self._client = Client(self._cluster or scheduler, timeout=_CONNECT_S)
-        except (OSError, ValueError, TimeoutError) as error:
-            raise UsageError(f"--scheduler {scheduler}: no Dask scheduler answers: {error}") from None
+        except (OSError, ValueError, RuntimeError, TimeoutError) as error:
+            what = "the local cluster did not start" if scheduler is None else "no Dask scheduler answers"
+            raise UsageError(f"--scheduler {scheduler or 'none'}: {what}: {error}") from None
         self.note = f"Dask dashboard: {self._client.dashboard_link}"
 
     def free(self) -> int:
@@ -151,6 +148,20 @@ class DaskEngine:
             return Ended(job, Outcome("failed", f"cannot be read: {error.strerror}", 3))
         reason = f"{outcome.error}; at {size >> 20} MiB it is too large to be sent: share its folder"
         return Ended(job, Outcome("failed", reason, 3, worker=outcome.worker))
+
+
+def _local_cluster(jobs: int, limits: Limits) -> Any:
+    from distributed import LocalCluster
+
+    return LocalCluster(
+        n_workers=jobs,
+        threads_per_worker=1,
+        host="127.0.0.1",
+        dashboard_address="127.0.0.1:0",
+        worker_dashboard_address="127.0.0.1:0",
+        memory_limit=f"{limits.memory_mb:.0f}MB",
+        silence_logs=logging.CRITICAL,
+    )
 
 
 # --- on the worker ---------------------------------------------------------------------------

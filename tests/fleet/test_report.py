@@ -68,6 +68,9 @@ def test_the_logs_table_has_a_row_a_log_with_its_figures(reported: Path) -> None
     assert row["least_ttc_s"] == encounters["least_ttc_s"].filter(encounters["least_ttc_s"].is_finite()).min()
     assert logs["text"]["error"].startswith("not an MCAP log")
     assert scan(reported, "windows").collect().height == 3
+    against = scan(reported, "against_plan").collect()
+    for name in ("delay_end_s", "recorded_jerk_mps3", "planned_jerk_mps3"):
+        assert against[name].is_not_null().all()
     assert "cut" in set(scan(reported, "problems").collect()["log"])
 
 
