@@ -163,12 +163,14 @@ class Fleet:
                     )
                     if job is None or self._cuts.given_up(job):
                         continue
-                    manifest.append(_begun(job, self._tries.get((job.location, job.windows), 0) + 1))
+                    begun = _begun(job, self._tries.get((job.location, job.windows), 0) + 1)
+                    manifest.append(begun, flush=False)
                     engine.begin(job)
                     under_way += 1
                 for ended in engine.wait(0.5):
                     under_way -= 1
                     self._enter(ended, manifest, log)
+                manifest.flush()
                 log.tick()
         except EngineLostError as error:
             self.stop(str(error))
@@ -229,7 +231,7 @@ class Fleet:
         if job.windows is not None:
             error = f"windows {job.windows[0]} to {job.windows[1] - 1}: {error}"
         outcome = self._cuts.log_ended(job, outcome)
-        manifest.append(self._entry(job, outcome, status, error, tries))
+        manifest.append(self._entry(job, outcome, status, error, tries), flush=False)
         return log.ended(status, job.location, error, outcome.seconds)
 
     def _not_started(self, job: Job, outcome: Outcome) -> None:

@@ -114,7 +114,7 @@ def _is_entry(entry: Any) -> bool:
 
 
 class Manifest:
-    """A manifest that this process alone writes; every entry is on the disk when `append` returns.
+    """A manifest that this process alone writes.
 
     Raises
     ------
@@ -126,6 +126,7 @@ class Manifest:
 
     def __init__(self, folder: Path) -> None:
         self._path = folder / NAME
+        self._flushed = True
         try:
             self._file = self._path.open("ab", buffering=0)
         except OSError as error:
@@ -149,27 +150,48 @@ class Manifest:
             time.sleep(0.05)
         raise UsageError(f"{folder}: another fleet is at work here; wait for it, or choose another folder")
 
-    def append(self, *entries: Entry) -> None:
-        """Write entries, all or none, and flush them to the disk.
+    def append(self, *entries: Entry, flush: bool = True) -> None:
+        """Write entries, all or none, and flush them to the disk, or leave that to `flush`.
 
         Raises
         ------
         ExportError
-            If the disk is full or fails; the manifest is as it was before.
+            If the disk is full or fails; what it could not take is not there.
         """
         at = round(time.time(), 3)
         text = "".join(json.dumps({**entry, "at": at}, allow_nan=False) + "\n" for entry in entries)
         size = self._path.stat().st_size
         try:
             _write_all(self._file, text.encode())
-            os.fsync(self._file.fileno())
         except OSError as error:
             os.ftruncate(self._file.fileno(), size)
-            raise ExportError(
-                f"{self._path}: cannot be written: {error.strerror}; free some space, then call again"
-            ) from None
+            raise self._refused(error) from None
         for entry in entries:
             self.books.take({**entry, "at": at})
+        self._flushed = False
+        if flush:
+            self.flush()
+
+    def flush(self) -> None:
+        """See that every entry is on the disk; many at once cost as much as one.
+
+        Raises
+        ------
+        ExportError
+            If the disk fails.
+        """
+        if self._flushed:
+            return
+        try:
+            os.fsync(self._file.fileno())
+        except OSError as error:
+            raise self._refused(error) from None
+        self._flushed = True
+
+    def _refused(self, error: OSError) -> ExportError:
+        return ExportError(
+            f"{self._path}: cannot be written: {error.strerror}; free some space, then call again"
+        )
 
     def close(self) -> None:
         """Give the folder free for another fleet."""
