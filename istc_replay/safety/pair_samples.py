@@ -108,13 +108,17 @@ def sample_pairs(bodies: list[Body], times_ns: IntArray, audit: AuditConfig) -> 
     """
     rows: list[dict[str, NDArray[np.generic]]] = []
     left: list[dict[str, NDArray[np.generic]]] = []
-    size = max(_CHUNK_STATES // max(len(bodies), 1), 1)
+    # Of many who come and go only those who are there at once count.
+    spans = np.array([body.track.times_ns[[0, -1]] for body in bodies], dtype=np.int64).reshape(-1, 2)
+    together = sum(body.track.times_ns.size for body in bodies) / max(times_ns.size, 1)
+    size = max(int(_CHUNK_STATES / max(together, 1.0)), 1)
+    sampled = 0
     halo_ns = int((audit.pet_minor_s + _HALO_S) * NS_PER_S)
     for start in range(0, times_ns.size, size):
         own = times_ns[start : start + size]
         until = int(np.searchsorted(times_ns, own[-1] + halo_ns, side="right"))
         chunk = times_ns[start:until]
-        here = [row for row, body in enumerate(bodies) if _present(body, chunk)]
+        here = np.flatnonzero((spans[:, 0] <= chunk[-1]) & (spans[:, 1] >= chunk[0])).tolist()
         if len(here) < 2:
             continue
         boxes = np.full((chunk.size, len(here), 5), np.nan)
@@ -127,9 +131,10 @@ def sample_pairs(bodies: list[Body], times_ns: IntArray, audit: AuditConfig) -> 
         boxes[..., 2] += np.where(speeds < 0.0, np.pi, 0.0)
         speeds = np.abs(speeds)
         names = np.asarray(here, dtype=np.int64)
-        if sum(part["first"].size for part in rows) > _MOST_SAMPLES:
+        if sampled > _MOST_SAMPLES:
             raise LogError(f"the log has more than {_MOST_SAMPLES} pair samples; audit it in parts")
         rows.append(_chunk_pairs(boxes[: own.size], speeds[: own.size], bounds, own, names, audit))
+        sampled += rows[-1]["first"].size
         left.append(_chunk_encroachments(boxes, chunk, own[-1], names, audit))
     return _pairs(rows), _encroachments(left)
 
@@ -158,11 +163,6 @@ def pairs_table(pairs: Pairs, names: list[str]) -> pl.DataFrame:
 
 def _strings(values: NDArray[np.object_]) -> pl.Series:
     return pl.Series(values.tolist(), dtype=pl.String)
-
-
-def _present(body: Body, times_ns: IntArray) -> bool:
-    known = body.track.times_ns
-    return bool(known[0] <= times_ns[-1] and known[-1] >= times_ns[0])
 
 
 def _chunk_pairs(
