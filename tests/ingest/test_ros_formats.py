@@ -216,3 +216,40 @@ def test_ros_1_transforms_are_read(topic: Any, write_log: Any, save: Any) -> Non
     log = read_log(save(write_log(made)), BOX)
     assert log.problems == ()
     assert log.states.select("vehicle_id", "x_m", "y_m").rows() == [("car_2", 2.0 * k, 1.0) for k in range(3)]
+
+
+def test_ros_1_odometry_is_read(topic: Any, write_log: Any, save: Any) -> None:
+    store = get_typestore(Stores.ROS1_NOETIC)
+    types = store.types
+    messages = []
+    for k in range(5):
+        time_ns = T0_NS + k * STEP_NS
+        stamp = types["builtin_interfaces/msg/Time"](time_ns // 10**9, time_ns % 10**9)
+        turned = types["geometry_msgs/msg/Quaternion"](0.0, 0.0, math.sin(0.2), math.cos(0.2))
+        pose = types["geometry_msgs/msg/Pose"](types["geometry_msgs/msg/Point"](1.0 * k, 2.0, 0.0), turned)
+        zero = types["geometry_msgs/msg/Vector3"](0.0, 0.0, 0.1)
+        twist = types["geometry_msgs/msg/Twist"](types["geometry_msgs/msg/Vector3"](7.5, 0.0, 0.0), zero)
+        message = types["nav_msgs/msg/Odometry"](
+            types["std_msgs/msg/Header"](k, stamp, "map"),
+            "car_9/base_link",
+            types["geometry_msgs/msg/PoseWithCovariance"](pose, np.zeros(36)),
+            types["geometry_msgs/msg/TwistWithCovariance"](twist, np.zeros(36)),
+        )
+        messages.append((time_ns + 3, bytes(store.serialize_ros1(message, "nav_msgs/msg/Odometry"))))
+    text, _ = store.generate_msgdef("nav_msgs/msg/Odometry")
+    made = topic("/odom", messages, "nav_msgs/Odometry", "ros1msg", text.encode(), "ros1")
+    path = save(write_log(made))
+    states = read_log(path, BOX).states
+    assert states.select("vehicle_id", "time_ns", "x_m", "y_m", "speed_mps").rows() == [
+        ("car_9", T0_NS + k * STEP_NS, 1.0 * k, 2.0, 7.5) for k in range(5)
+    ]
+    assert states["heading_rad"].to_list() == pytest.approx([0.4] * 5, abs=1e-12)
+    mapped = parse_config(
+        '[ingest.topics."/odom".fields]\nvehicle_id = "child_frame_id"\ntime = "header.stamp"\n'
+        'position = "pose.pose.position"\norientation = "pose.pose.orientation"\n'
+        'speed_mps = "twist.twist.linear.x"\n'
+    )
+    by_fields = read_log(path, mapped).states
+    same = ("time_ns", "x_m", "y_m", "heading_rad", "speed_mps")
+    assert by_fields.select(same).equals(states.select(same))
+    assert by_fields["vehicle_id"].unique().to_list() == ["car_9/base_link"]
