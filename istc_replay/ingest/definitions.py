@@ -9,7 +9,7 @@ from istc_replay.ingest.summary import Summary
 #: Bytes of schemas and channels held at once.
 _LIMIT = 128 * 2**20
 #: Declarations that are read in a file, and one more for so many of its bytes.
-_COUNT_FLOOR, _BYTES_EACH = 140_000, 64
+_COUNT_FLOOR, _BYTES_EACH = 110_000, 64
 
 
 class Definitions:
@@ -73,12 +73,11 @@ class Definitions:
         if new:
             # What is the same stays the same object: messages are counted by it.
             self.channels[channel.id] = channel
-            topic = quoted(channel.topic)
             if (Opcode.CHANNEL, channel.id) in self._declared:
-                detail = f"channel {channel.id} is declared twice: {topic} from here on"
+                detail = f"channel {channel.id} is declared twice: {quoted(channel.topic)} from here on"
                 self._problems.add("channel_conflict", detail, offset)
             if schema_id and channel.schema is None:
-                detail = f"channel {topic} names schema {schema_id}, which is not declared"
+                detail = f"channel {quoted(channel.topic)} names schema {schema_id}, which is not declared"
                 self._problems.lose("missing_schema", detail, offset)
         self._declared.add((Opcode.CHANNEL, channel.id))
         return new

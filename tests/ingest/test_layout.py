@@ -364,3 +364,48 @@ def test_a_small_file_cannot_ask_for_much_work() -> None:
     budget.spend(10**6)
     decoded = decode(ProtobufDecoder(TYPE, MAPPING, budget), [b"\x08\x01"])
     assert "more fields than a file of this size may hold" in str(decoded.bad[0][1])
+
+
+LINE = '{"stamp": {"sec": 1, "nsec": 2}, "id": "a", "pose": {"x": 1.5, "p": [1, 2e3]}, "last": -0.25}'
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        LINE,
+        LINE.replace("1.5", "-17.000000000000001"),
+        LINE.replace('"a"', '"another"'),
+        LINE.replace('"a"', '"a,b"'),
+        LINE.replace('"a"', r'"a\"b"'),
+        LINE.replace('"a"', '"é"'),
+        LINE.replace('"a"', "7"),
+        LINE.replace("1.5", "NaN"),
+        LINE.replace("1.5", "-Infinity"),
+        LINE.replace("1.5", "1e999"),
+        LINE.replace("1.5", "null"),
+        LINE.replace("1.5", '"1.5"'),
+        LINE.replace("1.5", "true"),
+        LINE.replace("1.5,", '1.5, "y": 3,'),
+        LINE.replace('"last"', '"lost"'),
+        LINE.replace(" ", ""),
+        LINE.replace(", ", ",\n"),
+        LINE.replace('"nsec": 2', '"nsec": 2.5'),
+        LINE[:-1],
+        LINE + "}",
+        LINE + LINE,
+        "",
+        "[]",
+        "x",
+    ],
+)
+def test_json_of_one_form_is_read_as_one_by_one(other: str) -> None:
+    mapping = Mapping({"time": "stamp", "vehicle_id": "id", "x_m": "pose.x", "y_m": "last", "p": "pose.p.0"})
+    payloads = [line.encode() for line in (LINE, LINE, other, LINE)]
+    for wanted in (mapping, Mapping({k: v for k, v in mapping.fields.items() if k != "p"})):
+        decoder, exact = JsonDecoder(wanted), JsonDecoder(wanted)
+        found = decode(decoder, payloads)
+        truth = exact._exact(payloads)
+        assert found.rows.tolist() == truth.rows.tolist()
+        assert [row for row, _ in found.bad] == [row for row, _ in truth.bad]
+        for name in truth.columns:
+            assert plain(found, name) == pytest.approx(plain(truth, name), nan_ok=True), name
