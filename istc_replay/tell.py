@@ -153,9 +153,10 @@ def json_lines(facts: Mapping[str, Any]) -> Iterator[str]:
     for place, (key, value) in enumerate(facts.items()):
         comma = "," if place < len(facts) - 1 else ""
         if isinstance(value, list) and value:
+            encode = json.JSONEncoder().encode
             yield f' "{key}": ['
-            yield from (f"  {json.dumps(item)}," for item in value[:-1])
-            yield f"  {json.dumps(value[-1])}"
+            yield from (f"  {encode(item)}," for item in value[:-1])
+            yield f"  {encode(value[-1])}"
             yield f" ]{comma}"
         else:
             yield f' "{key}": {json.dumps(value)}{comma}'

@@ -462,7 +462,6 @@ KINDS = (
         {"missing_schema"},
     ),
     Kind("100 000 channels", lambda: channels(100_000), 1, {"channel_conflict"}),
-    Kind("150 000 channels", lambda: channels(150_000), None, {"too_many_definitions"}),
     Kind("one channel a million times", same_channel, 0, {"chunk_damaged"}),
     Kind("900 000 messages of no channel", many_messages, 900_001, {"unknown_channel"}),
     Kind("3 million records of no use", useless, 1, {"unexpected_record"}),

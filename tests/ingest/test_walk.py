@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
+import zstandard
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mcap.records import Message as LibraryMessage
@@ -370,3 +371,26 @@ def test_a_million_faults_make_a_few_lines() -> None:
     log, _ = walk(file_of(unknown * 20_000))
     assert len(log.problems) < 10
     assert log.problems[-1].detail.startswith("199")
+
+
+def test_more_declarations_than_a_small_file_may_hold_are_told() -> None:
+    declared = b"".join(
+        record(0x04, struct.pack("<HH", 1 + k % 60_000, 0) + text(f"/{k}") + text("json") + bytes(4))
+        for k in range(120_000)
+    )
+    log, messages = walk(
+        file_of(chunk(zstandard.compress(declared + MESSAGE), len(declared + MESSAGE), "zstd"))
+    )
+    assert codes(log) >= {"too_many_definitions", "channel_conflict"}
+    assert len(messages) == 1
+    assert not log.complete
+
+
+def test_the_profile_and_the_spans_of_channels_are_told(write_log: Callable[..., bytes], topic: Any) -> None:
+    made = [topic("/a", [(T0_NS + 5, b""), (T0_NS, b"")]), topic("/b", [(T0_NS + 9, b"")]), topic("/c", [])]
+    log, _ = walk(write_log(*made))
+    spans = {channel.topic: span for channel, span in log.spans.items()}
+    assert spans == {"/a": (T0_NS, T0_NS + 5), "/b": (T0_NS + 9, T0_NS + 9)}
+    assert log.profile == ""
+    assert {channel.topic for channel in log.counts} == {"/a", "/b", "/c"}
+    assert log.position == log.size - len(MAGIC)
