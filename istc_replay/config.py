@@ -347,6 +347,39 @@ def parse_config(text: str, name: str = "config") -> Config:
         raise ConfigError(f"{name}: " + "; ".join(_fault(fault) for fault in error.errors())) from None
 
 
+def parse_known(text: str) -> tuple[Config, tuple[str, ...]]:
+    """Read what this version knows of a configuration that another version has written.
+
+    Returns
+    -------
+    config : Config
+        The settings, with the defaults in place of what is not known.
+    unknown : tuple of str
+        The keys that are not, or not with their values; the whole text where it is not TOML.
+    """
+    try:
+        values = tomllib.loads(text)
+    except tomllib.TOMLDecodeError:
+        return Config(), ("config.toml",)
+    unknown: list[str] = []
+    while True:
+        try:
+            return Config.model_validate(values), tuple(unknown)
+        except ValidationError as error:
+            # A fault within a list, or of a whole section, takes its key along.
+            first = [part for part in error.errors()[0]["loc"] if isinstance(part, str)]
+            section, path = values, []
+            for part in first:
+                path.append(part)
+                if not isinstance(section.get(part), dict) or part == first[-1]:
+                    break
+                section = section[part]
+            if not path or path[-1] not in section:
+                return Config(), (*unknown, ".".join(first))
+            del section[path[-1]]
+            unknown.append(".".join(path))
+
+
 def load_config(path: Path | None) -> Config:
     """Read a configuration file; None gives the defaults.
 
