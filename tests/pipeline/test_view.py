@@ -104,6 +104,9 @@ def test_focus_shows_one_vehicle_in_full_and_the_others_quietly(synthetic_result
         assert f"/space_time/quiet/planned/corridors/{other}" in entities
         assert f"/plots/speed/quiet/planned/{other}" in entities
         assert f"/now/planned/box/{other}" in entities
+    pairs = [path for path in entities if path.startswith("/plots/clearance/planned/")]
+    assert pairs
+    assert all("car\\ 2" in path for path in pairs)
 
 
 def test_without_a_screen_the_way_out_is_told(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
