@@ -125,6 +125,8 @@ class WindowConfig(Section):
     """Length of a window of a longer log."""
     stride_s: Positive = 8.0
     """Distance from one window's start to the next."""
+    start: Literal["recording", "handed_over"] = "recording"
+    """Where windows start: each from the recording, or where the plan of the one before has led (in turn)."""
     minimum_presence_units: Count = 2
     """A vehicle present for fewer whole units is not planned."""
     minimum_rate_hz: Positive = 4.0

@@ -12,6 +12,7 @@ from istc_replay.datatypes import WindowPlan, WindowStatus
 from istc_replay.errors import SolveError
 from istc_replay.field import Field, Repairs, lateral_excursion_m, least_cover, prepare
 from istc_replay.guidance.build import build_guidance
+from istc_replay.handover import handed_over
 from istc_replay.scenario import build_scenario
 from istc_replay.tracks import road_users
 from istc_replay.trajectories.plan import TrajectoryPlanner
@@ -72,6 +73,7 @@ def plan_part(
     config: Config,
     planners: Planners,
     progress: Callable[[str], None] = lambda _: None,
+    before: WindowPlan | None = None,
 ) -> WindowPlan:
     """Plan one window of a log; of traffic with finer time units where vehicles had to be frozen.
 
@@ -87,17 +89,22 @@ def plan_part(
         Shared by all windows.
     progress : callable
         Told in words what is being done.
+    before : WindowPlan, optional
+        The plan of the window before, which hands its vehicles over.
     """
     began = time.perf_counter()
+    handed = handed_over(before, part.span[0])
     users = road_users(part.states)
     repairs = Repairs(planners.repairer)
-    first = build_scenario(part, config, users=users)
+    first = build_scenario(part, config, users=users, handed=handed)
     # Finer time units leave more room to cars that are close: they are tried before any is frozen.
     finer = TRAFFIC_UNITS_S if first.traffic and config.window.unit_s == "auto" else ()
     units = [unit_s for unit_s in finer if unit_s < first.window.unit_s]
     tried: list[_Rounds] = []
     for unit_s in (None, *units):
-        scenario = first if unit_s is None else build_scenario(part, config, unit_s, users=users)
+        scenario = (
+            first if unit_s is None else build_scenario(part, config, unit_s, users=users, handed=handed)
+        )
         tried.append(_begin(scenario, config, planners.of(scenario), progress, repairs))
         plan = tried[-1].run()
         if plan is not None:

@@ -220,6 +220,7 @@ class Participant:
     start: StartState
     recording: Recording
     lane_m: FloatArray | None = None  # (P, 2) of its intent, corridor frame
+    approach: FloatArray | None = None  # (P, 3) path that led to a start handed over by the plan before
     dimensions_source: str = "log"  # log, config or default
 
 

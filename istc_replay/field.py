@@ -25,8 +25,10 @@ from istc_replay.datatypes import (
 )
 from istc_replay.geometry import box_corners, shift_along
 from istc_replay.guidance.build import recorded_guidance
+from istc_replay.guidance.path import Path
 from istc_replay.road_frame import heading_slack
 from istc_replay.tracks import swept_boxes
+from istc_replay.trajectories.repair import recorded_poses
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -38,6 +40,8 @@ if TYPE_CHECKING:
 _START_M = 0.04
 #: Gaps are this much below what was recorded, so that the recording itself keeps them [m].
 _BELOW_RECORDED_M = 0.05
+#: How much faster a car that was led behind its recording catches up with it.
+_CATCH_UP, _CATCH_UP_MPS, _EASE_MPS2 = 1.2, 0.5, 2.0
 #: A gap that was lowered below this is none [m].
 _LEAST_GAP_M = 0.06
 #: Near a neighbour a car may turn by this share of what would touch it, at least by the second [rad].
@@ -143,7 +147,9 @@ class Repairs:
         first_s = participant.first_unit * window.unit_s
         key = (participant.vehicle_id, first_s, first_s + participant.units * window.unit_s, speed_max_mps)
         if key not in self._known:
-            motion, record = self._repairer.repair(participant, window.unit_s, speed_max_mps)
+            motion, record = self._repairer.repair(
+                participant, window.unit_s, speed_max_mps, back_to_recording
+            )
             self._known[key] = window.frame, motion
             return motion, record
         frame, motion = self._known[key]
@@ -171,9 +177,9 @@ def prepare(scenario: Scenario, config: Config, repairs: Repairs, speed_max_mps:
         detail = ""
         if motion is None:
             detail = "no drivable motion was found near it"
-        elif motion.deviation_m > config.guidance.deviation_max_m:
+        elif participant.approach is None and motion.deviation_m > config.guidance.deviation_max_m:
             detail = f"the nearest drivable motion is {motion.deviation_m:.2f} m away"
-        elif np.hypot(*(motion.poses[0, :2] - participant.recording.poses[0, :2])) > _START_M:
+        elif participant.approach is None and _off_start_m(motion, participant) > _START_M:
             detail = "no drivable motion starts where it was recorded"
         if motion is None or detail:
             excluded.append(Exclusion(participant.vehicle_id, "undrivable_track", detail))
@@ -181,12 +187,43 @@ def prepare(scenario: Scenario, config: Config, repairs: Repairs, speed_max_mps:
             continue
         x, y, heading = motion.poses[0]
         start = StartState(float(x), float(y), float(heading), float(motion.driven.states[0, 4]))
-        kept.append(replace(participant, start=start))
+        handed = participant.approach is not None
+        kept.append(participant if handed else replace(participant, start=start))
         guide = recorded_guidance(participant, scenario.window.unit_s, motion.times_s, motion.poses)
         guidance.append(replace(guide, motion=motion.driven))
     scenario = replace(_without(scenario, dropped), excluded=(*scenario.excluded, *excluded))
     scenario = replace(scenario, participants=tuple(kept))
     return _narrowed(scenario, tuple(guidance), config, records)
+
+
+def back_to_recording(participant: Participant, at_s: FloatArray) -> FloatArray:
+    """Poses (S, 3) at times (S,) from a start that was handed over back to the recording.
+
+    A car that was led behind the recording (or ahead of it) follows the recorded path, a fifth and half a
+    metre a second faster (or a fifth slower), until it is where it was recorded.
+    """
+    start, recorded = participant.start, recorded_poses(participant, at_s)
+    if participant.approach is None:
+        return recorded
+    poses = np.vstack([participant.approach, participant.recording.poses])
+    path = Path.through(poses[:, :2], poses[:, 2])
+    way, _ = path.project(np.array([start.x_m, start.y_m]))
+    here = path.project(recorded[0, :2])[0]
+    arc = here + np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(recorded[:, :2], axis=0).T))])
+    law, speed = [way], start.speed_mps
+    for step, until, seconds in zip(np.diff(arc), arc[1:], np.diff(at_s), strict=True):
+        # No faster than the car can speed up, no slower than it can brake with ease.
+        most = min(_CATCH_UP * step + _CATCH_UP_MPS * seconds, (speed + _EASE_MPS2 * seconds) * seconds)
+        least = max(step / _CATCH_UP, (speed - _EASE_MPS2 * seconds) * seconds, 0.0)
+        law.append(float(np.clip(until, law[-1] + min(least, most), law[-1] + most)))
+        speed = (law[-1] - law[-2]) / seconds
+    targets = path.at(np.asarray(law, dtype=np.float64))
+    targets[0] = start.x_m, start.y_m, start.heading_rad
+    return targets
+
+
+def _off_start_m(motion: RepairedMotion, participant: Participant) -> float:
+    return float(np.hypot(*(motion.poses[0, :2] - participant.recording.poses[0, :2])))
 
 
 def _narrowed(

@@ -26,6 +26,7 @@ from istc_replay.datatypes import (
     read_only,
 )
 from istc_replay.geometry import box_corners, rotate, to_frame
+from istc_replay.handover import Handed
 from istc_replay.road_frame import Body, conflicts, least_boxes, road_yaw
 from istc_replay.tracks import RoadUser, UsableTrack, road_users, swept_boxes, usable_track
 from istc_replay.units import seconds_to_ns
@@ -60,11 +61,13 @@ def build_scenario(
     unit_s: float | None = None,
     *,
     users: Mapping[str, RoadUser] | None = None,
+    handed: Mapping[str, Handed] | None = None,
 ) -> Scenario:
     """Build the scenario of one window.
 
     With `unit_s` unset the time unit is the configured one, in traffic the calm one where the
-    recording has no conflict at it. `users` are those of the part, where they are known already.
+    recording has no conflict at it. `users` are those of the part, where they are known already; `handed`
+    vehicles start where the plan of the window before has led them.
     """
     if users is None:
         users = road_users(part.states)
@@ -72,10 +75,10 @@ def build_scenario(
         unit_s = first_unit_s(config.window, traffic=part.traffic)
         for longer in CALM_UNITS_S if part.traffic and config.window.unit_s == "auto" else ():
             if part.span[1] >= seconds_to_ns(longer):
-                calm = _Builder.of(part, users, config, longer)
+                calm = _Builder.of(part, users, config, longer, handed or {})
                 if calm.calm():
                     return calm.scenario()
-    return _Builder.of(part, users, config, unit_s).scenario()
+    return _Builder.of(part, users, config, unit_s, handed or {}).scenario()
 
 
 @dataclass(slots=True)
@@ -86,11 +89,19 @@ class _Builder:
     config: Config
     window: Window
     users: dict[str, RoadUser]
+    handed: Mapping[str, Handed]
     usable: dict[str, UsableTrack] = field(default_factory=dict)
     excluded: dict[str, Exclusion] = field(default_factory=dict)
 
     @classmethod
-    def of(cls, part: LogPart, users: Mapping[str, RoadUser], config: Config, unit_s: float) -> _Builder:
+    def of(
+        cls,
+        part: LogPart,
+        users: Mapping[str, RoadUser],
+        config: Config,
+        unit_s: float,
+        handed: Mapping[str, Handed],
+    ) -> _Builder:
         """Sort the road users of a window and choose its frame."""
         start_ns, length_ns, index = part.span
         units = length_ns // seconds_to_ns(unit_s)
@@ -98,7 +109,7 @@ class _Builder:
         inside = part.states.filter(pl.col("time_ns").is_between(start_ns, end_ns))
         present = {name: users[name] for name in sorted(inside["vehicle_id"].unique(), key=_natural)}
         window = Window(index, start_ns, end_ns, unit_s, int(units), _local_frame(present.values()))
-        builder = cls(part, config, window, present)
+        builder = cls(part, config, window, present, handed)
         builder.sort()
         if config.window.frame == "road" or (config.window.frame == "auto" and part.traffic):
             builder.turn(road_yaw(builder.bodies(), window.units, unit_s))
@@ -211,17 +222,23 @@ class _Builder:
         own = config.by_id.get(vehicle_id)
         priority = own.priority if own is not None and own.priority is not None else info.priority
         lane = next((line for line in scene.lane_lines if line.vehicle_id == vehicle_id), None)
-        x, y, heading = usable.poses[0]
+        x, y, heading = (float(value) for value in usable.poses[0])
+        start, approach = StartState(x, y, heading, float(usable.speeds_mps[0])), None
+        before = self.handed.get(vehicle_id) if usable.first_unit == 0 else None
+        if before is not None:
+            start = before.start(self.window.frame, heading)
+            approach = before.approach(self.window.frame, heading)
         return Participant(
             vehicle_id=vehicle_id,
             dimensions=dimensions,
             priority=config.priority if priority is None else priority,
             first_unit=usable.first_unit,
             units=usable.units,
-            start=StartState(float(x), float(y), float(heading), float(usable.speeds_mps[0])),
+            start=start,
             recording=Recording(usable.times_s, usable.poses, usable.speeds_mps),
             lane_m=None if lane is None else read_only(to_frame(lane.points_m, self.window.frame), columns=2),
             dimensions_source=source,
+            approach=approach,
         )
 
 

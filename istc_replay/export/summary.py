@@ -243,6 +243,7 @@ def _vehicle(participant: Participant) -> dict[str, Any]:
         "id": participant.vehicle_id,
         "priority": participant.priority,
         "dimensions_source": participant.dimensions_source,
+        "start": "recording" if participant.approach is None else "handed_over",
         "first_unit": participant.first_unit,
         "units": participant.units,
         "corridor_area_m2": None,

@@ -18,15 +18,20 @@ if TYPE_CHECKING:
     from istc_replay.windows import LogPart
 
 
-def judged(plan: WindowPlan, part: LogPart, config: Config) -> WindowOutcome:
-    """Certify one window's plan from the bytes of a result that holds it, and tell what was recorded."""
+def judged(
+    plan: WindowPlan, part: LogPart, config: Config, before: WindowPlan | None = None
+) -> WindowOutcome:
+    """Certify one window's plan from the bytes of a result that holds it, and tell what was recorded.
+
+    `before` is the plan that handed its vehicles over; the result that is certified holds it too.
+    """
     from istc_replay.changes import changes
     from istc_replay.safety.recorded import least_recorded_gap
 
     began = time.perf_counter()
     window = plan.scenario.window
     gap = least_recorded_gap(_sized(part.states, plan), window.start_ns, window.end_ns)
-    certificates, against = _certified(plan, part, config) if plan.trajectories else ((), ())
+    certificates, against = _certified(plan, part, config, before) if plan.trajectories else ((), ())
     seconds = {**plan.seconds, "certificate": time.perf_counter() - began}
     verdict = replace(_with_verdict(plan, certificates), seconds=seconds)
     sound = verdict.status in (WindowStatus.CERTIFIED, WindowStatus.PARTIAL)
@@ -34,7 +39,7 @@ def judged(plan: WindowPlan, part: LogPart, config: Config) -> WindowOutcome:
 
 
 def _certified(
-    plan: WindowPlan, part: LogPart, config: Config
+    plan: WindowPlan, part: LogPart, config: Config, before: WindowPlan | None
 ) -> tuple[tuple[Certificate, ...], tuple[dict[str, Any], ...]]:
     """The certificates, and what was recorded against the plan."""
     import polars as pl
@@ -49,11 +54,14 @@ def _certified(
     # What was recorded is the log's own; what was planned is read back from the bytes.
     log = Log("", "", True, 0, 0, 0, 0, None, None, (), part.states.clear(), part.scene, ())
     hoped = replace(plan, status=WindowStatus.CERTIFIED)
-    summary = summarise(log, [WindowOutcome(hoped)], {}, "")
-    written = result_bytes(log, [hoped], (), summary, render_config(config), {}, shown=False)
+    plans = [hoped] if before is None else [before, hoped]
+    summary = summarise(log, [WindowOutcome(each) for each in plans], {}, "")
+    written = result_bytes(log, plans, (), summary, render_config(config), {}, shown=False)
     result = read_result(written)
     draft = replace(result, states=pl.concat([_recorded_rows(plan, part, result), result.states]))
-    return certify(draft, config), tuple(against_plan(draft, config).to_dicts())
+    index = plan.scenario.window.index
+    certificates = tuple(c for c in certify(draft, config) if c.window == index)
+    return certificates, tuple(against_plan(draft, config).filter(pl.col("window") == index).to_dicts())
 
 
 def _recorded_rows(plan: WindowPlan, part: LogPart, result: Result) -> pl.DataFrame:

@@ -8,7 +8,7 @@ from concurrent.futures import FIRST_COMPLETED, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from typing import TYPE_CHECKING
 
-from istc_replay.errors import SolveError
+from istc_replay.errors import ScenarioError, SolveError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from istc_replay.config import Config
     from istc_replay.coordinate import Planners
-    from istc_replay.datatypes import Log, WindowOutcome
+    from istc_replay.datatypes import Log, WindowOutcome, WindowPlan
     from istc_replay.pipeline.work_folder import WorkFolder
     from istc_replay.windows import LogPart
 
@@ -52,7 +52,7 @@ def plan_windows(
     indices : iterable of int, optional
         Windows wanted, by index (`windows.window_spans` lists them); all otherwise.
     jobs : int
-        Parallel processes.
+        Parallel processes; windows that are handed over are planned in turn, whatever the number.
     work : WorkFolder, optional
         Keeps every window that is done, and gives those that an earlier run has done.
     progress : callable
@@ -70,11 +70,20 @@ def plan_windows(
     from istc_replay.windows import log_parts, settled_config, window_spans
 
     config = settled_config(log, config)
+    chained = config.window.start == "handed_over"
     wanted = [span[2] for span in window_spans(log, config)] if indices is None else list(indices)
     found: dict[int, WindowOutcome] = {}
     if work is not None:
         stored = ((index, work.load(index)) for index in wanted)
         found = {index: outcome for index, outcome in stored if outcome is not None}
+    if chained and wanted != list(range(len(wanted))):
+        raise ScenarioError(
+            f"{log.path}: windows that are handed over follow from each other: plan them from the first on, "
+            'or set window.start to "recording"'
+        )
+    if chained:  # what is done from the first on; a later one would follow from another plan
+        done = next((index for index in wanted if index not in found), len(wanted))
+        found = {index: found[index] for index in range(done)}
     parts = log_parts(log, config, [index for index in wanted if index not in found])
 
     def told(what: str) -> None:
@@ -84,7 +93,11 @@ def plan_windows(
         seen(outcome)
     told("corridors")
     left = len(wanted) - len(found)
-    solved = _in_turn(parts, config, told) if min(jobs, left) <= 1 else _apart(parts, config, min(jobs, left))
+    if chained or min(jobs, left) <= 1:
+        last = found[len(found) - 1].plan if chained and found else None
+        solved = _in_turn(parts, config, told, last)
+    else:
+        solved = _apart(parts, config, min(jobs, left))
     for outcome in solved:
         found[outcome.plan.scenario.window.index] = outcome
         if work is not None and len(wanted) > 1:
@@ -95,22 +108,31 @@ def plan_windows(
 
 
 def _in_turn(
-    parts: Iterable[LogPart], config: Config, told: Callable[[str], None]
+    parts: Iterable[LogPart], config: Config, told: Callable[[str], None], before: WindowPlan | None
 ) -> Iterator[WindowOutcome]:
     from istc_replay.coordinate import Planners
 
     planners = Planners(config)
     for part in parts:
-        yield _outcome(part, config, planners, told)
+        outcome = _outcome(part, config, planners, told, before)
+        if config.window.start == "handed_over":
+            before = outcome.plan
+        yield outcome
 
 
-def _outcome(part: LogPart, config: Config, planners: Planners, told: Callable[[str], None]) -> WindowOutcome:
+def _outcome(
+    part: LogPart,
+    config: Config,
+    planners: Planners,
+    told: Callable[[str], None],
+    before: WindowPlan | None = None,
+) -> WindowOutcome:
     from istc_replay.coordinate import plan_part
     from istc_replay.pipeline.judge import judged
 
-    plan = plan_part(part, config, planners, told)
+    plan = plan_part(part, config, planners, told, before)
     told("certifying")
-    return judged(plan, part, config)
+    return judged(plan, part, config, before)
 
 
 # --- parallel processes ----------------------------------------------------------------------

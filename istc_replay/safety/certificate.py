@@ -9,6 +9,7 @@
 | in_bounds | nothing leaves the map |
 | cubes_overlap | at a switch of units the box lies in both cubes, eq. (11) |
 | start | the plan starts where the vehicle was recorded, eq. (8) |
+| seam | a plan that was handed over starts where the plan before has led, in state and controls |
 | dynamics | the knots are those of the re-integrated bicycle, eq. (17) |
 | limits | steering, speed, acceleration and their rates keep eq. (18) |
 | in_corridor | the moving box stays in its cubes, eq. (19), in continuous time |
@@ -33,6 +34,7 @@ from istc_replay.safety.motion_checks import (
     in_corridor,
     limits,
     obstacle_separation,
+    seam,
     separation,
     start,
 )
@@ -47,6 +49,7 @@ _CHECKS = {
     "in_bounds": in_bounds,
     "cubes_overlap": cubes_overlap,
     "start": start,
+    "seam": seam,
     "dynamics": dynamics,
     "limits": limits,
     "in_corridor": in_corridor,

@@ -6,16 +6,20 @@ from dataclasses import replace
 
 import numpy as np
 
-from istc_replay.datatypes import Certificate, FloatArray
-from istc_replay.geometry import to_frame
+from istc_replay.datatypes import Certificate, FloatArray, Frame
+from istc_replay.geometry import to_frame, to_map
 from istc_replay.safety.case import Case, certificate_of
-from istc_replay.safety.motion import boxes_of, speed_extreme_s
+from istc_replay.safety.motion import boxes_of, integrate, speed_extreme_s
+from istc_replay.safety.plan import WrittenPlan
 from istc_replay.safety.sweep import Least, least_gap, moving_bodies, standing_bodies
 from istc_replay.safety.walls import least_inside
 from istc_replay.units import NS_PER_S, wrap_angle
 
 #: The planned and the recorded start may be this far apart [m].
 START_TOLERANCE_M = 0.05
+#: A plan that is handed over may differ from the one before by this, in metres, radians, m/s and m/s^2.
+SEAM_TOLERANCE = 1e-3
+_SEAM_NS, _SEAM_STEP_S = 1_000, 0.01
 #: Largest acceleration of a recorded vehicle; it bounds what lies between two samples [m/s^2].
 _RECORDED_ACCELERATION_MPS2 = 10.0
 #: What a knot says, what is limited, and their units.
@@ -41,8 +45,11 @@ def start(case: Case) -> Certificate:
     Between two samples the recorded position is known to a t_before t_after / 2 only: what is
     outside of the tolerance by less than that is inconclusive.
     """
-    unknown, starts = [name for name in case.plan.vehicles if name not in case.driven], []
+    handed = case.plan.handed_over  # these are judged where they were handed over
+    unknown, starts = [name for name in case.plan.vehicles if name not in {*case.driven, *handed}], []
     for row, name in enumerate(case.driven):
+        if name in handed:
+            continue
         plan, track = case.plan.plans[name], case.tracks.get(name)
         time_ns = case.plan.start_ns + int(plan.knots_ns[0])
         recorded = np.full(4, np.nan) if track is None else track.at(np.array([time_ns]))[0]
@@ -59,6 +66,63 @@ def start(case: Case) -> Certificate:
     return certificate_of(
         case, "start", least, vehicles=_names(case, least), detail=detail, unjudged=tuple(unknown)
     )
+
+
+def seam(case: Case) -> Certificate:
+    """A plan that was handed over starts where the plan before has led, in state and controls.
+
+    Position, heading, steering, speed and acceleration must agree; steering rate and jerk are held
+    from there on. The tolerance holds with the same number for each in its unit.
+    """
+    best, quantity, unknown = Least(), 0, []
+    before = case.plan.before
+    for row, name in enumerate(case.driven):
+        if name not in case.plan.handed_over:
+            continue
+        plan, led = case.plan.plans[name], None
+        if before is not None and name in before.plans:
+            led = _led_to(before, name, case.plan.start_ns + int(plan.knots_ns[0]), case.plan.frame)
+        if led is None:
+            unknown.append(name)
+            continue
+        change = plan.states[0] - led
+        change[2] = wrap_angle(change[2])
+        off = np.array([np.hypot(*change[:2]), *np.abs(change[2:])])
+        column = int(np.argmax(off))
+        margin = SEAM_TOLERANCE - float(off[column])
+        if margin < best.found:
+            best, quantity = Least(margin, margin, row, -1, float(plan.knots_ns[0]) / NS_PER_S), column
+    unknown += [
+        name for name in case.plan.vehicles if name in case.plan.handed_over and name not in case.driven
+    ]
+    return certificate_of(
+        case,
+        "seam",
+        best,
+        vehicles=_names(case, best),
+        detail=f"{SEAM_TOLERANCE - best.found:.2g} {_KNOT[quantity][1]} of {_KNOT[quantity][0]} off",
+        unjudged=tuple(unknown),
+        unit=_KNOT[quantity][1],
+    )
+
+
+def _led_to(before: WrittenPlan, name: str, time_ns: int, frame: Frame) -> FloatArray | None:
+    """The state (6,) of the box centre that a written plan causes at an instant, in another frame."""
+    plan, at_ns = before.plans[name], time_ns - before.start_ns
+    if not plan.knots_ns[0] - _SEAM_NS <= at_ns <= plan.knots_ns[-1] + _SEAM_NS:
+        return None
+    knots = np.append(plan.knots_ns[plan.knots_ns < at_ns - _SEAM_NS], at_ns)
+    count = len(knots)
+    state = plan.states[0]
+    if count > 1:
+        part = replace(plan, knots_ns=knots, states=plan.states[:count], controls=plan.controls[: count - 1])
+        motion = integrate([part], knots, _SEAM_STEP_S, SEAM_TOLERANCE / 10.0)
+        if motion is None or not motion.judged[0]:
+            return None
+        last = motion.nodes[0, -1, -1]
+        state = np.concatenate([boxes_of(last[None], motion.dimensions[:1])[0, :3], last[3:]])
+    points = to_frame(to_map(state[:2], before.frame), frame)
+    return np.array([*points, state[2] + before.frame.yaw_rad - frame.yaw_rad, *state[3:]])
 
 
 def dynamics(case: Case) -> Certificate:

@@ -8,7 +8,7 @@ the checks then cannot pass.
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -77,7 +77,8 @@ class WrittenPlan:
 
     `as_recorded` names the road users that should be among the obstacles.
 
-    The gaps are those that it promises [m], None where it is silent.
+    The gaps are those that it promises [m], None where it is silent. `handed_over` vehicles promise
+    to start where the plan of the window before, `before`, has led them.
     """
 
     index: int
@@ -88,6 +89,8 @@ class WrittenPlan:
     as_recorded: tuple[str, ...] = ()
     vehicle_gap_m: float | None = None
     obstacle_gap_m: float | None = None
+    handed_over: frozenset[str] = frozenset()
+    before: WrittenPlan | None = None
     cubes: dict[str, Boxes] = field(default_factory=dict)
     plans: dict[str, VehiclePlan] = field(default_factory=dict)
     obstacles: dict[str, Boxes] = field(default_factory=dict)
@@ -108,18 +111,22 @@ def written_plans(result: Result) -> Iterator[WrittenPlan]:
     entries = _window_entries(result.summary)
     planned = _by_window(result.states.filter(pl.col("source") == "planned"))
     corridors, obstacles = _by_window(result.corridors), _by_window(result.obstacles)
+    before: WrittenPlan | None = None
     for index in sorted({*entries, *planned, *corridors}):
         entry = entries.get(index, {})
         without = entry.get("status") in _WITHOUT_PLAN or index not in corridors
         if index in planned or not without:
             cubes, states = corridors.get(index), planned.get(index)
-            yield _written_plan(
+            plan = _written_plan(
                 index,
                 entry,
                 result.corridors.clear() if cubes is None else cubes,
                 result.states.clear() if states is None else states,
                 obstacles.get(index, result.obstacles.clear()),
             )
+            plan.before = before if before is not None and before.index == index - 1 else None
+            before = replace(plan, before=None)
+            yield plan
 
 
 def _as_recorded(entry: dict[str, Any]) -> tuple[str, ...]:
@@ -153,6 +160,7 @@ def _written_plan(
         as_recorded=_as_recorded(entry),
         vehicle_gap_m=_gap(entry.get("vehicle_gap_m")),
         obstacle_gap_m=_gap(entry.get("obstacle_gap_m")),
+        handed_over=frozenset(name for name, told in listed.items() if told.get("start") == "handed_over"),
     )
     for vehicle_id in plan.vehicles:
         try:

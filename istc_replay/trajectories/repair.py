@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -43,7 +44,7 @@ class RepairedMotion:
     """A drivable motion near a recording, corridor frame.
 
     `driven` are its knots and controls, of the rear axle. `times_s` (S,) from the window's start and
-    `poses` (S, 3) sample the box centre; `deviation_m` is its largest distance from the recorded one.
+    `poses` (S, 3) sample the box centre; `deviation_m` is its largest distance from what it tracks.
     """
 
     driven: Trajectory
@@ -63,6 +64,12 @@ class RepairedMotion:
         return replace(self, driven=driven, poses=placed(self.poses))
 
 
+def recorded_poses(participant: Participant, at_s: FloatArray) -> FloatArray:
+    """Recorded poses (S, 3) at times (S,) from the window's start."""
+    recording = participant.recording
+    return np.stack([np.interp(at_s, recording.times_s, column) for column in recording.poses.T], axis=-1)
+
+
 class RecordingRepairer:
     """Repairs recordings; keeps one compiled NLP a number of control intervals and their length.
 
@@ -77,7 +84,11 @@ class RecordingRepairer:
         self._compiled: dict[tuple[int, float], ca.Function] = {}
 
     def repair(
-        self, participant: Participant, unit_s: float, speed_max_mps: float
+        self,
+        participant: Participant,
+        unit_s: float,
+        speed_max_mps: float,
+        tracked: Callable[[Participant, FloatArray], FloatArray] = recorded_poses,
     ) -> tuple[RepairedMotion | None, SolveRecord]:
         """Repair one recording.
 
@@ -89,6 +100,8 @@ class RecordingRepairer:
             Length of a time unit; control intervals divide it.
         speed_max_mps : float
             Largest speed.
+        tracked : callable
+            Gives the poses (S, 3) to keep to at times (S,).
 
         Returns
         -------
@@ -96,12 +109,12 @@ class RecordingRepairer:
             The motion, None where the NLP finds none, and the record of the solve.
         """
         step_s, intervals = _cut(participant.units, unit_s)
-        recording, size = participant.recording, participant.dimensions
-        first_s = participant.first_unit * unit_s
+        size, first_s = participant.dimensions, participant.first_unit * unit_s
         at_s = np.asarray(first_s + np.arange(intervals + 1) * step_s, dtype=np.float64)
-        origin = recording.poses[0, :2]
-        centres = _at(recording.times_s, recording.poses[:, :2] - origin, at_s)
-        states = self._guess(participant, at_s, centres)
+        targets = tracked(participant, at_s)
+        origin = targets[0, :2].copy()
+        centres = targets[:, :2] - origin
+        states = self._guess(participant, at_s, np.column_stack([centres, targets[:, 2]]))
         headings = states[:, 2].copy()
         lower, upper = self._bounds(participant, intervals, speed_max_mps)
         states = np.clip(states, lower, upper)
@@ -133,13 +146,12 @@ class RecordingRepairer:
         if status not in (SolveStatus.OPTIMAL, SolveStatus.FEASIBLE):
             return None, record
         held = np.asarray(answer["x"], dtype=np.float64).ravel()[: 8 * intervals].reshape(-1, 8)
-        return _motion(participant, held[0, :6], held[:, 6:], step_s, first_s, origin), record
+        return _motion(participant, held[0, :6], held[:, 6:], step_s, (at_s, targets[:, :2]), origin), record
 
-    def _guess(self, participant: Participant, times_s: FloatArray, centres_m: FloatArray) -> FloatArray:
-        recording = participant.recording
-        heading = np.interp(times_s, recording.times_s, recording.poses[:, 2])
+    def _guess(self, participant: Participant, times_s: FloatArray, targets: FloatArray) -> FloatArray:
+        recording, heading = participant.recording, targets[:, 2]
         axle = shift_along(
-            centres_m[:, 0], centres_m[:, 1], heading, -participant.dimensions.rear_axle_to_centre_m
+            targets[:, 0], targets[:, 1], heading, -participant.dimensions.rear_axle_to_centre_m
         )
         speed = np.interp(times_s, recording.times_s, recording.speeds_mps)
         rest = np.zeros_like(speed)
@@ -155,6 +167,10 @@ class RecordingRepairer:
         speed = float(np.clip(start.speed_mps, 0.0, speed_max_mps))
         lower[0, 4], upper[0, 4] = max(0.0, speed - _START_MPS), min(speed_max_mps, speed + _START_MPS)
         lower[0, 2], upper[0, 2] = start.heading_rad - _START_RAD, start.heading_rad + _START_RAD
+        if participant.approach is not None:  # its plan goes on from this very state
+            x, y = shift_along(0.0, 0.0, start.heading_rad, -participant.dimensions.rear_axle_to_centre_m)
+            known = (x, y, start.heading_rad, start.steering_rad, start.speed_mps, start.acceleration_mps2)
+            lower[0] = upper[0] = np.array(known, dtype=np.float64)
         return lower, upper
 
     def _solver(self, intervals: int, step_s: float) -> ca.Function:
@@ -211,17 +227,19 @@ def _motion(
     start: FloatArray,
     controls: FloatArray,
     step_s: float,
-    first_s: float,
+    tracked: tuple[FloatArray, FloatArray],
     origin_m: FloatArray,
 ) -> RepairedMotion:
-    size, recording = participant.dimensions, participant.recording
+    size, recording, first_s = participant.dimensions, participant.recording, float(tracked[0][0])
     dense, _, spacing_s = dense_motion(start, controls, step_s, size.wheelbase_m, _STEP_S / _SUBSTEPS)
     states = np.vstack([dense[:, :-1].reshape(-1, 6), dense[-1, -1]])
     states[:, :2] += origin_m
     per_interval = dense.shape[1] - 1
     centres = shift_along(states[:, 0], states[:, 1], states[:, 2], size.rear_axle_to_centre_m)
     times = np.asarray(first_s + np.arange(len(states)) * spacing_s, dtype=np.float64)
-    off = np.asarray(centres) - np.asarray(_at(recording.times_s, recording.poses[:, :2], times))
+    if participant.approach is None:
+        tracked = recording.times_s, recording.poses[:, :2]
+    off = np.asarray(centres) - np.asarray(_at(*tracked, times))
     knots = Trajectory(
         vehicle_id=participant.vehicle_id,
         dimensions=size,

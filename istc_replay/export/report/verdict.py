@@ -23,6 +23,7 @@ CHECKS = {
     "in_corridor": "each vehicle's box stays inside its cubes at every instant, not only at the knots",
     "separation": "no two planned boxes touch at any instant",
     "obstacle_separation": "no planned box touches an obstacle at any instant",
+    "seam": "each plan that was handed over starts where the one before has led",
     "start": "each plan starts where its vehicle was recorded",
 }
 

@@ -1,0 +1,87 @@
+"""Handing a plan over: where the vehicles of one window's plan are when the next window begins."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from istc_replay.bicycle import dense_motion
+from istc_replay.datatypes import (
+    FloatArray,
+    Frame,
+    StartState,
+    Trajectory,
+    WindowPlan,
+    WindowStatus,
+    read_only,
+)
+from istc_replay.geometry import shift_along, to_frame, to_map
+from istc_replay.units import NS_PER_S, wrap_angle
+
+#: Rounding in times [s].
+_INSTANT_S = 1e-6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Handed:
+    """A planned vehicle at the instant at which it is handed over, map frame.
+
+    `pose` (3,) of its box centre; `path` (P, 3) are the poses of the guidance that led there.
+    """
+
+    pose: FloatArray
+    speed_mps: float
+    steering_rad: float
+    acceleration_mps2: float
+    path: FloatArray
+
+    def start(self, frame: Frame, heading_rad: float) -> StartState:
+        """The start in a corridor frame, its heading within half a turn of the given one."""
+        x, y = to_frame(self.pose[:2], frame).tolist()
+        heading = heading_rad + float(wrap_angle(self.pose[2] - frame.yaw_rad - heading_rad))
+        return StartState(x, y, heading, self.speed_mps, self.steering_rad, self.acceleration_mps2)
+
+    def approach(self, frame: Frame, heading_rad: float) -> FloatArray:
+        """The path (P, 3) in a corridor frame, its last heading within half a turn of the given one."""
+        headings = np.unwrap(self.path[:, 2] - frame.yaw_rad)
+        headings += 2.0 * np.pi * np.round((heading_rad - headings[-1]) / (2.0 * np.pi))
+        return read_only(np.column_stack([to_frame(self.path[:, :2], frame), headings]))
+
+
+def handed_over(before: WindowPlan | None, start_ns: int) -> dict[str, Handed]:
+    """Where the vehicles of a certified plan are at an instant; nobody of any other plan."""
+    if before is None or before.status not in (WindowStatus.CERTIFIED, WindowStatus.PARTIAL):
+        return {}
+    frame, at_s = before.scenario.window.frame, (start_ns - before.scenario.window.start_ns) / NS_PER_S
+    guidance = {guide.vehicle_id: guide for guide in before.guidance}
+    found = {}
+    for trajectory in before.trajectories:
+        guide = guidance.get(trajectory.vehicle_id)
+        state = state_at(trajectory, at_s)
+        if guide is None or state is None:
+            continue
+        x, y, heading, steering, speed, acceleration = state
+        centre = shift_along(x, y, heading, trajectory.dimensions.rear_axle_to_centre_m)
+        until = max(2, int(np.searchsorted(guide.times_s, at_s + _INSTANT_S)))
+        poses = guide.poses[:until]
+        path = np.column_stack([to_map(poses[:, :2], frame), poses[:, 2] + frame.yaw_rad])
+        pose = read_only([*to_map(centre, frame), heading + frame.yaw_rad])
+        found[trajectory.vehicle_id] = Handed(pose, speed, steering, acceleration, read_only(path))
+    return found
+
+
+def state_at(trajectory: Trajectory, at_s: float) -> list[float] | None:
+    """The state (6,) that a plan's held controls cause at an instant; None outside of it."""
+    times = trajectory.times_s
+    if not times[0] - _INSTANT_S <= at_s <= times[-1] + _INSTANT_S:
+        return None
+    knot = min(max(int(np.searchsorted(times, at_s + _INSTANT_S, side="right")) - 1, 0), len(times) - 2)
+    since_s = at_s - float(times[knot])
+    if since_s <= _INSTANT_S:
+        return [float(value) for value in trajectory.states[knot]]
+    held = trajectory.controls[knot : knot + 1]
+    dense, _, _ = dense_motion(
+        trajectory.states[knot], held, since_s, trajectory.dimensions.wheelbase_m, since_s / 8.0
+    )
+    return [float(value) for value in dense[-1, -1]]

@@ -1,0 +1,130 @@
+"""Windows that start where the plan before has led: the seam is continuous, and certified."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+
+from istc_replay.config import Config, parse_config
+from istc_replay.datatypes import Log, StaticScene, Verdict
+from istc_replay.errors import ScenarioError
+from istc_replay.pipeline.replay import Replay, replay_read
+from istc_replay.pipeline.windows import plan_windows
+from istc_replay.safety.certificate import certify
+from istc_replay.states import STATES_SCHEMA, conform
+
+CONFIG = """
+corridors.mode = "fast"
+window = {{ horizon_s = 3.0, stride_s = {stride}, unit_s = 0.5, start = "{start}" }}
+"""
+MOTION = ("x_m", "y_m", "heading_rad", "speed_mps", "acceleration_mps2", "steering_rad")
+
+
+def config(stride: float = 3.0, start: str = "handed_over") -> Config:
+    """Windows of three seconds."""
+    return parse_config(CONFIG.format(stride=stride, start=start))
+
+
+@pytest.fixture(scope="module")
+def log() -> Log:
+    """A car that comes close to a slower one, which leaves after 5.9 s, and one that stays apart."""
+    tracks = []
+    for name, lane, ahead, speed, last in (
+        ("1", 0.0, 0.0, 12.0, 9.0),
+        ("2", 0.3, 16.0, 10.6, 5.9),
+        ("3", 7.0, -3.0, 13.0, 9.0),
+    ):
+        times = np.arange(round(last * 10) + 1) / 10.0
+        count = len(times)
+        values = {
+            "vehicle_id": [name] * count,
+            "time_ns": np.round(times * 1e9).astype(np.int64),
+            "x_m": ahead + speed * times,
+            "y_m": np.full(count, lane),
+            "heading_rad": np.zeros(count),
+            "speed_mps": np.full(count, speed),
+            "length_m": np.full(count, 4.5),
+            "width_m": np.full(count, 1.8),
+            "role": ["vehicle"] * count,
+        }
+        tracks.append(conform(pl.DataFrame(values), STATES_SCHEMA))
+    return Log("chain.mcap", "0" * 64, True, 0, 0, 0, 0, 0, 0, (), pl.concat(tracks), StaticScene(), ())
+
+
+@pytest.fixture(scope="module")
+def chained(log: Log) -> Replay:
+    """The log, each window from the plan before."""
+    return replay_read(log, config())
+
+
+def starts(done: Replay) -> dict[tuple[int, str], str]:
+    """From where each vehicle of each window starts."""
+    windows = done.summary["windows"]
+    return {(w["index"], v["id"]): v["start"] for w in windows for v in w["vehicles"]}
+
+
+def test_every_vehicle_goes_on_where_the_plan_before_has_led_it(chained: Replay) -> None:
+    planned = chained.result.states.filter(pl.col("source") == "planned")
+    assert {w["status"] for w in chained.summary["windows"]} == {"certified"}
+    told, moved = starts(chained), []
+    for (window, vehicle), start in told.items():
+        assert start == ("recording" if window == 0 else "handed_over")
+        if window == 0:
+            continue
+        own = planned.filter(pl.col("vehicle_id") == vehicle)
+        before = own.filter(pl.col("window") == window - 1).sort("time_ns").tail(1)
+        after = own.filter(pl.col("window") == window).sort("time_ns").head(1)
+        assert before["time_ns"].item() == after["time_ns"].item()
+        np.testing.assert_allclose(after.select(MOTION).row(0), before.select(MOTION).row(0), atol=1e-4)
+        recorded = 12.0 * after["time_ns"].item() / 1e9
+        moved += [abs(after["x_m"].item() - recorded)] if vehicle == "1" else []
+    assert max(moved) > 0.05  # it is not where it was recorded: the seam is the plan's, not the recording's
+
+
+def test_the_seam_is_certified(chained: Replay) -> None:
+    checks: dict[int, dict[str, Any]] = {
+        w["index"]: {c["check"]: c for c in w["certificate"]["checks"]} for w in chained.summary["windows"]
+    }
+    assert checks[0]["seam"]["verdict"] == "not_applicable"
+    for window in (1, 2):
+        assert checks[window]["seam"]["verdict"] == "pass"
+        assert 0.0 < checks[window]["seam"]["margin"] <= 1e-3
+        assert checks[window]["start"]["verdict"] == "not_applicable"
+
+
+@pytest.mark.parametrize(("column", "by"), [("x_m", 0.02), ("speed_mps", 0.02), ("acceleration_mps2", 0.02)])
+def test_a_torn_seam_fails(chained: Replay, column: str, by: float) -> None:
+    torn = (pl.col("source") == "planned") & (pl.col("window") == 1) & (pl.col("vehicle_id") == "1")
+    states = chained.result.states.with_columns(
+        pl.when(torn).then(pl.col(column) + by).otherwise(column).alias(column)
+    )
+    found = certify(replace(chained.result, states=states), parse_config(chained.result.config_toml))
+    seams = {c.window: c for c in found if c.check == "seam"}
+    assert seams[1].verdict is Verdict.FAIL
+    assert seams[1].vehicles == ("1",)
+
+
+def test_a_seam_whose_plan_before_is_missing_is_not_judged(chained: Replay) -> None:
+    states = chained.result.states.filter(~((pl.col("source") == "planned") & (pl.col("window") == 0)))
+    found = certify(replace(chained.result, states=states), parse_config(chained.result.config_toml))
+    assert next(c for c in found if c.check == "seam" and c.window == 1).verdict is Verdict.INCONCLUSIVE
+
+
+def test_windows_that_overlap_are_handed_over_in_the_midst_of_a_plan(log: Log) -> None:
+    done = replay_read(log, config(stride=2.2))
+    assert all(w["certificate"]["verdict"] == "pass" for w in done.summary["windows"])
+    assert list(starts(done).values()).count("handed_over") > 3
+
+
+def test_from_the_recording_every_window_starts_anew(log: Log) -> None:
+    done = replay_read(log, config(start="recording"))
+    assert set(starts(done).values()) == {"recording"}
+
+
+def test_a_chain_is_planned_from_its_first_window_on(log: Log) -> None:
+    with pytest.raises(ScenarioError, match="from the first on"):
+        plan_windows(log, config(), [1])
