@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import time
 from collections import deque
 from collections.abc import Callable, Iterable, Sequence
 from concurrent.futures import ThreadPoolExecutor
@@ -24,6 +26,8 @@ from istc_replay.pipeline.replay import RUN_OUTPUTS
 
 #: Files hashed at once where an earlier call is checked.
 _CHECKERS = 4
+#: Pauses between looks for outputs that a worker of another host has published.
+_LOOKS_S = (0.0, 0.5, 1.0, 2.0, 0.0)
 #: Workers that die one after the other before they take a job, until the fleet stops.
 _STARTS = 8
 
@@ -67,6 +71,7 @@ class Fleet:
     _cuts: Cuts = field(default_factory=Cuts)
     _ready: deque[Job] = field(default_factory=deque)
     _unstarted: int = 0
+    _config_hash: str = ""
 
     def stop(self, reason: str) -> None:
         """Stop soon; jobs under way are given up, to be done by the next call."""
@@ -94,7 +99,8 @@ class Fleet:
         ExportError
             If the folder cannot be written, or its disk is full. What was finished stays.
         """
-        config_hash = products_key(config_sha256(parse_config(self.orders.config_toml)), self.orders.products)
+        config = parse_config(self.orders.config_toml)
+        config_hash = self._config_hash = products_key(config_sha256(config), self.orders.products)
         prepare_folder(self.folder)
         manifest = Manifest(self.folder)
         try:
@@ -249,11 +255,15 @@ class Fleet:
         return outcome.status, outcome.error.removeprefix(f"{job.location}: ")
 
     def _is_published(self, job: Job, outcome: Outcome) -> bool:
-        receipt = logs_folder(self.folder) / job.name / "receipt.json"
-        try:
-            return sha256_of(receipt) == outcome.receipt_sha256
-        except OSError:
-            return False
+        folder = logs_folder(self.folder)
+        for pause_s in _LOOKS_S:
+            with suppress(OSError):
+                if sha256_of(folder / job.name / "receipt.json") == outcome.receipt_sha256:
+                    return True
+            # On a network file system, opening the folder makes this host look anew.
+            os.close(os.open(folder, os.O_RDONLY))
+            time.sleep(pause_s)
+        return False
 
     def _entry(self, job: Job, outcome: Outcome, status: str, error: str, tries: int) -> Entry:
         return {
@@ -262,7 +272,7 @@ class Fleet:
             "folder": job.name,
             "stamp": job.stamp,
             "log_sha256": outcome.log_sha256,
-            "config_sha256": products_key(config_sha256(parse_config(job.config_toml)), job.products),
+            "config_sha256": self._config_hash,
             "version": job.version,
             "receipt_sha256": outcome.receipt_sha256,
             "code": outcome.code or (4 if status == "failed" else 0),
