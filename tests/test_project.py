@@ -14,7 +14,7 @@ import pytest
 
 ROOT = Path(__file__).resolve().parents[1]
 LOCKS = ("requirements.lock", "requirements-test.lock")
-SCRIPTS = ("replay", "test", "lock", "samples", "compile-schemas")
+SCRIPTS = ("replay", "test", "lock", "samples", "compile-schemas", "bench-ingest", "damage-table", "fuzz")
 #: Written in pieces, so that this file does not hold what it looks for.
 OF_ONE_MACHINE = re.compile(
     r"(?<![\w.])/(?:home|root|work|Users)/"
