@@ -58,7 +58,9 @@ def main(arguments: list[str] | None = None) -> None:
         sys.exit(0)
     except MemoryError:
         _fail("out of memory; cut the log into shorter spans", _INTERNAL_ERROR)
-    except Exception as error:
+    except SystemExit:
+        raise
+    except BaseException as error:  # a panic of a library in Rust is no Exception
         if debug:
             traceback.print_exc()
         _fail(f"internal error: {type(error).__name__}: {error}; --debug shows where", _INTERNAL_ERROR)

@@ -17,7 +17,7 @@ from istc_replay.cli.common import FILE, Progress, config_option, print_lines
 @click.option("--to", "end", help="Where it ends, not included; the log's end without it.")
 @click.option("--around", "moment", help="A moment; the span is --margin before and after it.")
 @click.option("--finding", "finding_id", help="The id of an audit's finding; the span is around it.")
-@click.option("--audit", type=FILE, help="What `audit -o` wrote, for --finding; LOG is audited without it.")
+@click.option("--audit", type=FILE, help="What `audit -o` wrote, or a result; LOG is audited without it.")
 @click.option(
     "--margin", "margin_s", type=click.FloatRange(0, 1e9), default=5.0, show_default=True, help="[s]"
 )

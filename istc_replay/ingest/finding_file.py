@@ -8,9 +8,9 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import polars as pl
-
 from istc_replay.errors import LogError, UsageError
+from istc_replay.ingest.parquet import ParquetTable
+from istc_replay.ingest.result import load_result_folder
 
 #: The files of an audit that list findings, best first.
 _FILES = ("audit.json", "findings.parquet")
@@ -32,7 +32,8 @@ def read_finding(path: Path, finding_id: str) -> FoundSpan:
     Parameters
     ----------
     path : Path
-        What `istc-replay audit -o` wrote: the folder, its audit.json, or its findings.parquet.
+        What `istc-replay audit -o` wrote (the folder, its audit.json, or its findings.parquet), or a
+        result of `istc-replay run`, whose findings are its log's.
     finding_id : str
         Its id.
 
@@ -46,17 +47,21 @@ def read_finding(path: Path, finding_id: str) -> FoundSpan:
     file = next((path / name for name in _FILES if (path / name).is_file()), path)
     sha256 = ""
     try:
-        if file.suffix == ".parquet":
-            rows: Iterable[Mapping[str, Any]] = pl.read_parquet(file).to_dicts()
+        if file.is_dir() or file.suffix == ".mcap":
+            result = load_result_folder(file)
+            rows: Iterable[Mapping[str, Any]] = result.findings.to_dicts()
+            sha256 = str(result.summary["input"]["sha256"])
+        elif file.suffix == ".parquet":
+            rows = (row for piece in ParquetTable(file).pieces(None, 10_000) for row in piece.to_dicts())
         else:
             audit = json.loads(file.read_bytes())
             rows, sha256 = audit["findings"], str(audit["input"]["sha256"])
         return found_in(rows, finding_id, str(file), sha256)
-    except (OSError, ValueError, KeyError, TypeError, RecursionError, pl.exceptions.PolarsError) as error:
+    except (OSError, ValueError, KeyError, TypeError, RecursionError) as error:
         reason = " ".join((getattr(error, "strerror", None) or str(error)).split())[:200]
         raise LogError(
             f"{path}: is no audit that can be read ({reason}); give the folder, audit.json or "
-            "findings.parquet that `istc-replay audit -o` wrote"
+            "findings.parquet that `istc-replay audit -o` wrote, or a result"
         ) from None
 
 

@@ -15,6 +15,7 @@ from istc_replay.datatypes import StaticScene
 from istc_replay.errors import LogError
 from istc_replay.ingest.foreign import NUMBERS, STATES_LIMIT, ForeignRecording
 from istc_replay.ingest.meaning import ROLES
+from istc_replay.ingest.parquet import ParquetTable
 from istc_replay.ingest.problems import Problems, quoted
 from istc_replay.ingest.xml_stream import Progress
 from istc_replay.states import STATES_SCHEMA, conform
@@ -166,16 +167,16 @@ class _Parquet:
     unit = "row"
 
     def __init__(self, path: Path, progress: Progress) -> None:
-        self._scan, self._progress = pl.scan_parquet(path), progress
-        self.columns = self._scan.collect_schema().names()
+        self._table, self._progress = ParquetTable(path), progress
+        self.columns = self._table.columns
 
     def pieces(self, wanted: Sequence[str]) -> Iterator[tuple[pl.DataFrame, list[int]]]:
         """Give the wanted columns and the numbers of their rows, from 1."""
-        height = self._scan.select(pl.len()).collect().item()
-        for start in range(0, height, _ROWS):
-            piece = self._scan.select(wanted).slice(start, _ROWS).collect()
+        start = 0
+        for piece in self._table.pieces(wanted, _ROWS):
             yield piece, list(range(start + 1, start + 1 + piece.height))
-            self._progress(start + piece.height, height)
+            start += piece.height
+            self._progress(start, self._table.height)
 
 
 # --- the columns ---------------------------------------------------------------------------------
