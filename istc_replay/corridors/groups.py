@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from istc_replay.corridors.conflict_tree import CONFLICT_M, TOGETHER, Group, Tree
-from istc_replay.corridors.neighbourhoods import improve, join, vehicle_costs
+from istc_replay.corridors.neighbourhoods import binding_choices, improve, join, vehicle_costs
 from istc_replay.corridors.pivot_qp import Choices, PivotQp
 
 if TYPE_CHECKING:
@@ -128,14 +128,13 @@ def prove(problem: CorridorProblem, z: FloatArray, node_budget: int) -> TreeOutc
     qp, costs = PivotQp(problem), vehicle_costs(problem, z)
     parts = _parts(problem, qp)
     whole = len(parts) == 1
-    choice = tuple(enumerate(problem.separations.best(z).tolist()))
     trees = []
     for part in parts:
         size = sum(2 * problem.blocks[vehicle].units for vehicle in part)
         budget = max(1, round(node_budget / len(parts) * min(1.0, (_USUAL / size) ** 2)))
         tree = Tree(problem, qp, part, budget, (), most=sum(costs[v] for v in part))
         if whole:
-            tree.plunge(choice, budget, first_only=True)
+            tree.plunge(binding_choices(problem, z), budget, first_only=True)
         tree.prove(budget)
         trees.append(tree)
     best = trees[0].best if whole else None

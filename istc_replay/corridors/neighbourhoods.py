@@ -181,6 +181,13 @@ def _moving(part: Group, costs: list[float], meetings: set[tuple[int, int]], rin
     return frozenset(moving)
 
 
+def binding_choices(problem: CorridorProblem, z: FloatArray) -> Choices:
+    """The options by which those keep apart at z who are near each other."""
+    slack = problem.separations.slack(z)
+    near = np.flatnonzero(slack.max(axis=1, initial=-np.inf) < _NEAR_M)
+    return tuple((int(d), int(slack[d].argmax())) for d in near)
+
+
 def _kept(problem: CorridorProblem, z: FloatArray, part: Group, moving: Group) -> Choices:
     """Options that those keep who move but do not choose anew."""
     table = problem.separations
