@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import argparse
+import time
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 from istc_replay.config import Config, load_config
 from istc_replay.errors import IstcReplayError
-from istc_replay.pipeline.replay import import_method, replay_log
+from istc_replay.ingest.log import read_log
+from istc_replay.pipeline.replay import assemble, import_method
+from istc_replay.pipeline.windows import plan_windows
 
 HEAD = (
-    "| log | windows full | certified / plannable / present | T [s] | log s | CPU s | factor | not planned |"
+    "| log | windows full | certified / plannable / present | T [s] | log s | CPU s | factor | all outputs | "
+    "changed | aside m | clearance m | not planned |"
 )
+Windows = Sequence[dict[str, Any]]
 
 
-def row(name: str, windows: list[dict[str, Any]], span_s: float, cpu_s: float) -> str:
+def row(name: str, windows: Windows, span_s: float, plan_s: float, whole_s: float) -> str:
     """One line of the table."""
     certified, plannable, present = (
         sum(w[f"vehicles_{what}"] for w in windows) for what in ("certified", "plannable", "present")
@@ -25,17 +31,43 @@ def row(name: str, windows: list[dict[str, Any]], span_s: float, cpu_s: float) -
     units = Counter(w["unit_s"] for w in windows)
     reasons = Counter(e["reason"] for w in windows for e in (*w["frozen"], *w["exclusions"]))
     reasons += Counter(w["status"] for w in windows if w["status"] not in ("certified", "partial"))
-    return (
-        f"| {name} | {full} of {len(windows)} | {certified} / {plannable} / {present} | "
-        + ", ".join(f"{unit:g}: {count}" for unit, count in sorted(units.items(), reverse=True))
-        + f" | {span_s:.1f} | {cpu_s:.1f} | {span_s / cpu_s:.1f} | "
-        + ", ".join(f"{reason} {count}" for reason, count in sorted(reasons.items()))
-        + " |"
+    told = [w["coordination"] for w in windows]
+    clearances = [t["clearance_least_m"] for t in told if t["clearance_least_m"] is not None]
+    cells = (
+        name,
+        f"{full} of {len(windows)}",
+        f"{certified} / {plannable} / {present}",
+        ", ".join(f"{unit:g}: {count}" for unit, count in sorted(units.items(), reverse=True)),
+        f"{span_s:.1f}",
+        f"{plan_s:.1f}",
+        f"{span_s / plan_s:.1f}",
+        f"{span_s / whole_s:.1f}",
+        str(sum(t["vehicles_changed"] for t in told)),
+        f"{max(t['lateral_most_m'] for t in told):.2f}",
+        f"{min(clearances):.2f}" if clearances else "-",
+        ", ".join(f"{reason} {count}" for reason, count in sorted(reasons.items())),
+    )
+    return "| " + " | ".join(cells) + " |"
+
+
+def margins(windows: Windows) -> str:
+    """The least margin of each check, and the number of windows that it judged."""
+    least: dict[str, list[tuple[float, str]]] = {}
+    for window in windows:
+        for check in window["certificate"]["checks"]:
+            if check["margin"] is not None:
+                least.setdefault(check["check"], []).append((check["margin"], check["unit"]))
+    return "\n".join(
+        f"  {name}: {min(v)[0]:.3g} {min(v)[1]} of {len(v)} windows" for name, v in least.items()
     )
 
 
 def main() -> None:
-    """Print a row a log and their sum; the times are of the processor, reading included."""
+    """Print a row a log and their sum; times are of the processor.
+
+    The factor is recorded time by the time of reading, preparation, both layers and certificates;
+    `all outputs` has the audit and the bytes of the result as well.
+    """
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("logs", nargs="+", type=Path)
     parser.add_argument("--config", type=Path)
@@ -47,18 +79,23 @@ def main() -> None:
     import_method()  # once a process, whatever the number of logs
     print(HEAD, "|" + "---|" * HEAD.count(" | ") + "---|", sep="\n")
     everything: list[dict[str, Any]] = []
-    spans = cpu = 0.0
+    sums = [0.0, 0.0, 0.0]
     for path in arguments.logs:
+        began = time.process_time()
         try:
-            summary = replay_log(path, config).summary
+            log = read_log(path, config)
+            outcomes = plan_windows(log, config)
+            planned = time.process_time()
+            summary = assemble(log, config, outcomes).summary
         except IstcReplayError as error:
             print(f"| {path.stem} | {error} |")
             continue
-        totals, windows = summary["totals"], summary["windows"]
-        print(row(path.stem, windows, totals["log_s"], totals["cpu_s"]), flush=True)
-        everything += windows
-        spans, cpu = spans + totals["log_s"], cpu + totals["cpu_s"]
-    print(row("all", everything, spans, cpu))
+        own = (summary["totals"]["log_s"], planned - began, time.process_time() - began)
+        print(row(path.stem, summary["windows"], *own), flush=True)
+        everything += summary["windows"]
+        sums = [a + b for a, b in zip(sums, own, strict=True)]
+    print(row("all", everything, *sums))
+    print("least margins of the certificates:", margins(everything), sep="\n")
 
 
 if __name__ == "__main__":

@@ -127,7 +127,7 @@ def _plan(job: Job, config: Config, log: Log, facts: dict[str, str]) -> dict[str
     if job.windows is not None:
         _plan_part(log, config, job.windows, kept)
         return {"status": "part", "log_sha256": log.sha256}
-    if job.cut:
+    if job.cut and config.window.start == "recording":  # else each follows from the one before
         count = len(window_spans(log, config))
         if count > job.cut:
             return {"status": "long", "windows": count, "log_sha256": log.sha256}
