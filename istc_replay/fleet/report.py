@@ -116,6 +116,8 @@ def _write_figures(folder: Path, books: Books, tables: Path) -> None:
             continue
         row = entry_row(entry)
         place = logs_folder(folder) / name
+        if entry["event"] == "failed":
+            problems.append({"log": name, "code": "failed", "detail": row["error"]})
         summary = None if entry["event"] == "failed" else read_summary(place)
         if summary is not None:
             row |= summary_row(summary, place)

@@ -71,7 +71,9 @@ def test_the_logs_table_has_a_row_a_log_with_its_figures(reported: Path) -> None
     against = scan(reported, "against_plan").collect()
     for name in ("delay_end_s", "recorded_jerk_mps3", "planned_jerk_mps3"):
         assert against[name].is_not_null().all()
-    assert "cut" in set(scan(reported, "problems").collect()["log"])
+    problems = scan(reported, "problems").collect()
+    assert set(problems["log"]) == {"cut", "text"}
+    assert problems.filter(pl.col("log") == "text")["code"].to_list() == ["failed"]
 
 
 def test_every_link_of_the_page_leads_to_a_file(reported: Path) -> None:
