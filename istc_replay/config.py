@@ -235,6 +235,12 @@ class CorridorsConfig(Section):
     """How often a hard scene's frames, eq. (9) to (12), are written anew about its plan."""
     gap_tolerance: Positive = 1e-3
     """Certified means (objective - bound) / max(1, |objective|) at most this."""
+    seeds: Count = 4
+    """Seeds tried in one attempt at a crowded scene, until every vehicle arrives."""
+    seed_rounds: Count = 60
+    """Rounds of repair of one seed."""
+    seed_improvements: Annotated[int, Field(ge=0)] = 20
+    """Rounds that make a repaired seed cheaper."""
     tree_node_budget: Count = 1000
     """QPs of the conflict tree that finds corridors."""
     tree_proof_node_budget: Count = 4000
@@ -347,39 +353,6 @@ def parse_config(text: str, name: str = "config") -> Config:
         return Config.model_validate(values)
     except ValidationError as error:
         raise ConfigError(f"{name}: " + "; ".join(_fault(fault) for fault in error.errors())) from None
-
-
-def parse_known(text: str) -> tuple[Config, tuple[str, ...]]:
-    """Read what this version knows of a configuration that another version has written.
-
-    Returns
-    -------
-    config : Config
-        The settings, with the defaults in place of what is not known.
-    unknown : tuple of str
-        The keys that are not, or not with their values; the whole text where it is not TOML.
-    """
-    try:
-        values = tomllib.loads(text)
-    except tomllib.TOMLDecodeError:
-        return Config(), ("config.toml",)
-    unknown: list[str] = []
-    while True:
-        try:
-            return Config.model_validate(values), tuple(unknown)
-        except ValidationError as error:
-            # A fault within a list, or of a whole section, takes its key along.
-            first = [part for part in error.errors()[0]["loc"] if isinstance(part, str)]
-            section, path = values, []
-            for part in first:
-                path.append(part)
-                if not isinstance(section.get(part), dict) or part == first[-1]:
-                    break
-                section = section[part]
-            if not path or path[-1] not in section:
-                return Config(), (*unknown, ".".join(first))
-            del section[path[-1]]
-            unknown.append(".".join(path))
 
 
 def load_config(path: Path | None) -> Config:

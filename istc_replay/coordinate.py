@@ -6,12 +6,15 @@ import time
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from istc_replay.corridors.formulation import default_limits
 from istc_replay.corridors.solve import solve_corridors
-from istc_replay.datatypes import WindowPlan, WindowStatus
+from istc_replay.datatypes import SolveStatus, WindowPlan, WindowStatus
 from istc_replay.errors import SolveError
 from istc_replay.field import Field, Repairs, lateral_excursion_m, least_cover, prepare
-from istc_replay.guidance.build import build_guidance
+from istc_replay.geometry import shift_along
+from istc_replay.guidance.build import STANDING_MPS, build_guidance
 from istc_replay.handover import handed_over
 from istc_replay.scenario import build_scenario
 from istc_replay.tracks import road_users
@@ -36,6 +39,10 @@ if TYPE_CHECKING:
 
 #: Plans may be this much faster than the fastest recorded vehicle of their window.
 _FASTER_SHARE, _FASTER_MPS = 1.15, 1.0
+#: A vehicle that ends its recording standing has arrived where its plan ends this near.
+ARRIVED_M = 1.0
+#: A scene whose vehicles do not arrive is tried again from other seeds so often.
+_RESEEDS = 2
 #: At time units no longer than this, traffic has two control intervals in each.
 _SHORT_UNIT_S = 0.5
 #: Where vehicles have to be frozen, plans at so many of the finest time units are compared.
@@ -207,6 +214,8 @@ class _Rounds:
     limits: dict[str, Limits] = field(default_factory=dict)
     tightened: dict[str, int] = field(default_factory=dict)
     records: list[SolveRecord] = field(default_factory=list)
+    attempt: int = 0
+    kept: tuple[tuple[int, float], WindowPlan] | None = None
     _known: dict[tuple[str, bytes], TrajectoryOutcome] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -238,9 +247,9 @@ class _Rounds:
         """One round: the plan, or None where something has been changed to try again."""
         corridors = self._corridors()
         if not corridors.corridors:
-            if self._yield_to_conflicts(corridors):
+            if self._yield_to_conflicts(corridors) or self._reseed(corridors.status is SolveStatus.LIMIT):
                 return None
-            return self._plan(WindowStatus.NO_CORRIDORS, corridors.reason + self._after(), corridors)
+            return self._settled(WindowStatus.NO_CORRIDORS, corridors.reason + self._after(), corridors)
         outcomes = self._trajectories(corridors)
         undrivable = tuple(o.undrivable for o in outcomes if o.undrivable is not None)
         found = tuple(o.trajectory for o in outcomes if o.trajectory is not None)
@@ -248,11 +257,49 @@ class _Rounds:
             if self._give_way(undrivable):
                 return None
             reason = "; ".join(_undrivable_text(u) for u in undrivable) + self._after()
-            return self._plan(WindowStatus.NOT_DRIVABLE, reason, corridors, undrivable=undrivable)
+            return self._settled(WindowStatus.NOT_DRIVABLE, reason, corridors, undrivable=undrivable)
         if self._strays(found):
             return None
+        late = self._late(found)
+        reason = "goal not reached: " + ", ".join(late) if late else ""
         # Not certified until the certificate has said so.
-        return self._plan(WindowStatus.NOT_CERTIFIED, "", corridors, trajectories=found)
+        plan = self._plan(WindowStatus.NOT_CERTIFIED, reason, corridors, trajectories=found)
+        rank = (len(late), corridors.objective or 0.0)
+        if self.kept is None or rank < self.kept[0]:
+            self.kept = (rank, plan)
+        return None if self._reseed(bool(late)) else self._settled(plan.status, reason, corridors)
+
+    def _settled(
+        self,
+        status: WindowStatus,
+        reason: str,
+        corridors: Corridors,
+        undrivable: tuple[Undrivable, ...] = (),
+    ) -> WindowPlan:
+        """The best plan of all rounds, or this outcome where there is none."""
+        if self.kept is None:
+            return self._plan(status, reason, corridors, undrivable=undrivable)
+        return replace(self.kept[1], rounds=self.round, records=tuple(self.records), seconds=self.seconds)
+
+    def _reseed(self, wanted: bool) -> bool:
+        """Whether a scene is tried again from other seeds."""
+        scene = not self.ready.scenario.traffic and self.config.corridors.formulation != "paper"
+        most = min(_RESEEDS, self.config.trajectories.feedback_rounds)
+        if not (wanted and scene and self.round <= most):
+            return False
+        self.attempt += 1
+        return True
+
+    def _late(self, found: tuple[Trajectory, ...]) -> list[str]:
+        """Vehicles that were recorded to stand at their goal and do not come to it, and how far they end."""
+        late = []
+        for participant, trajectory in zip(self.ready.scenario.participants, found, strict=True):
+            x, y, heading = trajectory.states[-1, :3]
+            end = shift_along(x, y, heading, trajectory.dimensions.rear_axle_to_centre_m)
+            away = float(np.hypot(*(participant.recording.poses[-1, :2] - end)))
+            if participant.recording.speeds_mps[-1] < STANDING_MPS and away > ARRIVED_M:
+                late.append(f"{participant.vehicle_id} by {away:.1f} m")
+        return late
 
     def _corridors(self) -> Corridors:
         self.progress("corridors" if self.round == 1 else f"corridors, round {self.round}")
@@ -260,7 +307,7 @@ class _Rounds:
         gaps = {"vehicle_gap_m": self.ready.vehicle_gap_m, "obstacle_gap_m": self.ready.obstacle_gap_m}
         settings = self.config.corridors.model_copy(update=gaps)
         corridors = solve_corridors(
-            self.ready.scenario, self.ready.guidance, settings, self.limits, self.fastest_mps
+            self.ready.scenario, self.ready.guidance, settings, self.limits, self.fastest_mps, self.attempt
         )
         self.seconds["corridors"] += time.perf_counter() - began
         self.records += corridors.records
@@ -272,7 +319,7 @@ class _Rounds:
         outcomes = []
         participants = self.ready.scenario.participants
         for participant, corridor, guide in zip(
-            participants, corridors.corridors, self.ready.guidance, strict=True
+            participants, corridors.corridors, corridors.frames or self.ready.guidance, strict=True
         ):
             key = (participant.vehicle_id, corridor.cubes_m.tobytes() + corridor.pivots_m.tobytes())
             if key not in self._known:
@@ -288,6 +335,8 @@ class _Rounds:
         if self.config.corridors.formulation == "paper":
             most = 0
         again = [u.vehicle_id for u in undrivable if self.tightened.get(u.vehicle_id, 0) < most]
+        if self.ready.scenario.crowded:
+            return self._reseed(most > 0)
         if not self.ready.scenario.traffic:
             again = [u.vehicle_id for u in undrivable] if self.round <= most else []
         for vehicle in again:

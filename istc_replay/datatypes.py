@@ -26,6 +26,9 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 
+#: So many vehicles among standing obstacles make a crowded scene.
+CROWD = 4
+
 
 def read_only(values: ArrayLike, columns: int | None = None) -> FloatArray:
     """Copy values into a read-only float64 array, of shape (n, columns) where columns is given."""
@@ -258,6 +261,12 @@ class Scenario:
     vehicles_present: int = 0
     traffic: bool = False  # planned by the rules for recorded traffic
 
+    @property
+    def crowded(self) -> bool:
+        """A scene of four vehicles or more among standing obstacles: planned from seeds, in short units."""
+        standing = any(obstacle.outline_m is not None for obstacle in self.obstacles)
+        return standing and not self.traffic and len(self.participants) >= CROWD
+
 
 # --- the two layers --------------------------------------------------------------------------
 
@@ -334,11 +343,13 @@ class Corridors:
 
     `corridors` is empty unless status is optimal or feasible. `gap` = (objective - bound) /
     max(1, |objective|). `reason` says in one line why there is no solution, `culprits` which vehicles
-    (or pairs of road users) are in the way of one.
+    (or pairs of road users) are in the way of one. `frames` are the guidance that eq. (9) to (12) were
+    written about, one a corridor.
     """
 
     status: SolveStatus
     corridors: tuple[Corridor, ...] = ()
+    frames: tuple[Guidance, ...] = ()
     objective: float | None = None
     bound: float | None = None
     gap: float | None = None

@@ -17,9 +17,10 @@ if TYPE_CHECKING:
 
     from istc_replay.config import Config, WindowConfig
 
-#: Time units by rule: of a scene; of traffic from coarse to fine; and of traffic that has no conflict
-#: at them, the first that does.
-SCENE_UNIT_S, TRAFFIC_UNITS_S, CALM_UNITS_S = 1.0, (0.5, 0.25, 0.125), (1.0, 0.5, 0.25)
+#: Time units by rule: of a scene, and of a crowded one; of traffic from coarse to fine; and of traffic that
+#: has no conflict at them, the first that does.
+SCENE_UNIT_S, CROWDED_UNIT_S = 1.0, 0.5
+TRAFFIC_UNITS_S, CALM_UNITS_S = (0.5, 0.25, 0.125), (1.0, 0.5, 0.25)
 #: Limits and weights of layer 2 in traffic, where the configuration does not set them.
 TRAFFIC_LIMITS = {
     "acceleration_max_mps2": 3.5,

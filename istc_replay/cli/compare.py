@@ -14,7 +14,9 @@ from istc_replay.cli.common import FILE, print_lines
 @click.command()
 @click.argument("result_a", type=FILE)
 @click.argument("result_b", type=FILE)
-@click.option("-o", "--output", type=FILE, help="Folder of page, view and JSON; none are written without it.")
+@click.option(
+    "-o", "--output", type=FILE, help="Folder of page, view and figures; none are written without it."
+)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 def compare(result_a: Path, result_b: Path, output: Path | None, as_json: bool) -> None:
     """Compare RESULT_A with RESULT_B (folders or result.mcap): what moved, who waits for whom, by how much.

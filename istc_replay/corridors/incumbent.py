@@ -45,6 +45,7 @@ class Search:
     exhausted: bool = False  # the conflict tree saw everything there is
     records: list[SolveRecord] = field(default_factory=list)
     culprits: tuple[tuple[str, ...], ...] = ()
+    frames: tuple[Guidance, ...] = ()  # that `problem` is written about, where they are not the guidance
 
     def offer(self, z: FloatArray | None, stage: str) -> bool:
         """Take z as the incumbent if it is better."""
@@ -155,22 +156,26 @@ def follow(
     guidance: Sequence[Guidance],
     rewritten: Callable[[Sequence[Guidance]], CorridorProblem],
     config: CorridorsConfig,
+    *,
+    searched: bool = True,
 ) -> None:
-    """Write the frames anew about the incumbent and solve again, while that makes it better."""
+    """Write the frames anew about the incumbent and solve again, while that makes it better.
+
+    Other choices are `searched` for only where the frames made a difference.
+    """
     for round_ in range(1, config.frame_rounds + 1):
         if search.z is None:
             return
         began = time.perf_counter()
-        frames = frames_about(search.problem, search.z, guidance)
+        frames = frames_about(search.problem, search.z, search.frames or guidance)
         problem = with_references(rewritten(frames), guidance)
         if len(problem.impossible) or cramped(problem):
             return
         choice = problem.separations.best(search.z)
         polished = polish(problem, choice)
         found = [polished]
-        # Other choices are worth a search only where the frames made a difference.
         much = _MUCH * abs(search.objective)
-        if polished is not None and problem.objective(polished) < search.objective - much:
+        if searched and polished is not None and problem.objective(polished) < search.objective - much:
             least = problem.least_cubes(polished)
             refined, _ = neighbourhoods.improve(problem, least, config.tree_node_budget // 4)
             found.append(polish(problem, problem.separations.best(refined)))
@@ -180,6 +185,7 @@ def follow(
         )
         if better:
             search.problem, search.reference_bound, search.exhausted = problem, 0.0, False
+            search.frames = frames
             search.offer(best, f"frames about the plan, round {round_}")
         search.record(
             f"frames about the plan {round_}",

@@ -11,6 +11,7 @@ from istc_replay.corridors import proof
 from istc_replay.corridors.formulation import build_problem
 from istc_replay.corridors.incumbent import Search, cramped, fill, follow, gives_way, grow_tree
 from istc_replay.corridors.paper import PAPER_BIG_M, build_paper_problem
+from istc_replay.corridors.seeded import search_seeds
 from istc_replay.datatypes import Corridors, SolveStatus
 
 if TYPE_CHECKING:
@@ -27,10 +28,12 @@ def solve_corridors(
     config: CorridorsConfig,
     limits: Mapping[str, Limits],
     speed_max_mps: float,
+    attempt: int = 0,
 ) -> Corridors:
     """Construct the interactive spatio-temporal corridors of a window, eq. (4).
 
-    Every outcome is returned, none is raised, save a missing solver (SolveError).
+    Every outcome is returned, none is raised, save a missing solver (SolveError). Later attempts at a
+    scene start from other seeds.
     """
     paper = config.formulation == "paper"
     build = build_paper_problem if paper else build_problem
@@ -39,7 +42,17 @@ def solve_corridors(
     if refused is not None:
         return refused
     search = Search(problem)
-    if not paper:
+
+    def rewritten(frames: Sequence[Guidance]) -> CorridorProblem:
+        return build_problem(scenario, frames, config, limits, speed_max_mps)
+
+    seeded = not paper and not scenario.traffic and (scenario.crowded or attempt > 0)
+    if seeded:
+        reason = search_seeds(search, scenario, guidance, rewritten, config, attempt)
+        if search.z is None and scenario.crowded:
+            records = tuple(search.records)
+            return Corridors(SolveStatus.LIMIT, reason=reason, culprits=search.culprits, records=records)
+    if not paper and search.z is None:
         tree = grow_tree(search, config)
         if tree.z is None and tree.exhausted:
             where = "" if tree.open_conflict is None else _conflict_text(problem, tree.open_conflict)
@@ -50,10 +63,6 @@ def solve_corridors(
             large_traffic = scenario.traffic and problem.binaries > config.proof_binaries_max
             fill(search, tree.z, config, sized=not large_traffic)
         if not scenario.traffic and (not tree.exhausted or gives_way(search)):
-
-            def rewritten(frames: Sequence[Guidance]) -> CorridorProblem:
-                return build_problem(scenario, frames, config, limits, speed_max_mps)
-
             follow(search, guidance, rewritten, config)
     _prove(search, scenario, config)
     return _outcome(search, config)
@@ -102,6 +111,7 @@ def _outcome(search: Search, config: CorridorsConfig) -> Corridors:
     return Corridors(
         status=SolveStatus.OPTIMAL if proven else SolveStatus.FEASIBLE,
         corridors=search.problem.corridors(search.z),
+        frames=search.frames,
         objective=search.objective,
         bound=search.bound if np.isfinite(search.bound) else None,
         gap=gap,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from dataclasses import replace
 from pathlib import Path
 
 import rerun as rr
@@ -11,8 +12,9 @@ from rerun.chunk import Chunk
 
 from istc_replay.comparison.difference import Comparison
 from istc_replay.comparison.words import sentences
-from istc_replay.config import parse_known
+from istc_replay.config import parse_config
 from istc_replay.datatypes import Result
+from istc_replay.errors import ConfigError
 from istc_replay.export.atomic import atomic_file
 from istc_replay.export.rerun_markdown import escaped
 from istc_replay.export.rerun_view import recording_id, view_chunks
@@ -30,14 +32,23 @@ def beside_chunks(comparison: Comparison, a: Result, b: Result) -> list[Chunk]:
     """
     chunks = [
         chunk.with_entity_path(f"/{side}{chunk.entity_path}")
-        for side, result in zip(_SIDES, (a, b), strict=True)
-        for chunk in view_chunks(result, parse_known(result.config_toml)[0].view)
+        for side, result in zip(_SIDES, map(_readable, (a, b)), strict=True)
+        for chunk in view_chunks(result, parse_config(result.config_toml).view)
     ]
     lines = [escaped(text) for text in sentences(comparison)]
     more = [f"and {len(lines) - _LINES} more lines"] if len(lines) > _LINES else []
     text = "\n".join(f"- {line}" for line in lines[:_LINES] + more)
     document = rr.TextDocument.columns(text=[text], media_type=["text/markdown"])
     return [*chunks, Chunk.from_columns("/difference", [], document)]
+
+
+def _readable(result: Result) -> Result:
+    """The result, with the default settings where those of another version cannot be read."""
+    try:
+        parse_config(result.config_toml)
+    except ConfigError:
+        return replace(result, config_toml="")
+    return result
 
 
 def beside_blueprint() -> rrb.Blueprint:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
 
 import polars as pl
 import rerun as rr
@@ -63,14 +62,6 @@ def event_chunks(stage: Stage, found: list[Clearance]) -> list[Chunk]:
 def _input_events(stage: Stage) -> list[Event]:
     problems = stage.result.summary["input"].get("problems", [])
     start = stage.clock.origin_ns
-    if stage.unknown_settings:
-        keys = ", ".join(stage.unknown_settings)
-        text = f"settings of another version are not known here, the defaults stand in for them: {keys}"
-        return [Event(start, "log", "WARN", text), *_problems(problems, start)]
-    return _problems(problems, start)
-
-
-def _problems(problems: list[dict[str, Any]], start: int) -> list[Event]:
     events = [Event(start, "log", "WARN", f"log: {p['code']}: {p['detail']}") for p in problems[:ROWS]]
     if len(problems) > ROWS:
         events.append(Event(start, "log", "WARN", f"log: {len(problems) - ROWS} more problems"))

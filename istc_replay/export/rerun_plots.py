@@ -131,10 +131,9 @@ def _scalars(stage: Stage, path: str, times_ns: IntArray, values: FloatArray) ->
 
 
 def _clearances(stage: Stage, found: list[Clearance]) -> list[Chunk]:
-    """Clearances of the starring vehicles' closest pairs, NaN between the windows of a pair."""
+    """Clearances of the closest pairs over all windows, NaN between the windows of a pair."""
     chunks = []
-    starring = [clearance for clearance in found if stage.starring.intersection(clearance.pair)]
-    for number, pair in enumerate(closest_pairs(starring)):
+    for number, pair in enumerate(closest_pairs(found)):
         for source in ("recorded", "planned"):
             own = [c for c in found if c.pair == pair and c.source == source]
             if not own:

@@ -10,7 +10,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import ArrayLike, NDArray
 
-from istc_replay.config import Config, ViewConfig, parse_known
+from istc_replay.config import Config, ViewConfig, parse_config
 from istc_replay.datatypes import FloatArray, Frame, Result
 from istc_replay.export.colours import Colour, vehicle_colours
 from istc_replay.export.rerun_chunks import FOREVER_NS, Clock, IntArray, label, quaternions
@@ -110,7 +110,6 @@ class Stage:
     whose plots are shown, `leading` by window those that are named and whose corridors are shown
     there; the rest waits under `quiet` (see `rerun_cast`). `follows` are the vehicles that the
     close-up follows by window. `followed`: windows come after the last one here.
-    `unknown_settings` are keys of another version of the configuration.
     """
 
     result: Result
@@ -126,7 +125,6 @@ class Stage:
     guidance: dict[tuple[int, str], Track]
     names: dict[str, str]
     grounds: dict[int, Ground]
-    unknown_settings: tuple[str, ...] = ()
     followed: bool = False
     starring: frozenset[str] = frozenset()
     leading: dict[int, frozenset[str]] = field(default_factory=dict)
@@ -206,8 +204,14 @@ def greyed(colour: Colour) -> Colour:
 
 
 def make_stage(result: Result, view: ViewConfig, anchor: Anchor = Anchor()) -> Stage:
-    """Lay a result out for the view; `anchor` where it is a part of a larger one."""
-    config, unknown = parse_known(result.config_toml)
+    """Lay a result out for the view; `anchor` where it is a part of a larger one.
+
+    Raises
+    ------
+    ConfigError
+        If the result's configuration cannot be read by this version.
+    """
+    config = parse_config(result.config_toml, f"{result.path}: config.toml")
     until_ns = FOREVER_NS if anchor.until_ns is None else anchor.until_ns
     spans = _spans(result.summary["windows"], until_ns)
     placed = pl.all_horizontal(pl.col("x_m", "y_m").abs() < _FARTHEST_M)
@@ -243,7 +247,6 @@ def make_stage(result: Result, view: ViewConfig, anchor: Anchor = Anchor()) -> S
         guidance=sources["guidance"],
         names={vehicle_id: label(vehicle_id) for vehicle_id in ids},
         grounds={},
-        unknown_settings=unknown,
         followed=anchor.until_ns is not None,
     )
     grounds = {span.index: _ground(stage, span) for span in spans}

@@ -44,6 +44,11 @@ def lay_out(
     """Lay a result out for the view, and measure its clearances.
 
     `focus` names whom to show in full; `anchor` is given where the result is a part of a larger one.
+
+    Raises
+    ------
+    ConfigError
+        If the result's configuration cannot be read by this version.
     """
     stage = make_stage(result, config, anchor)
     found = clearances(stage)
@@ -58,6 +63,11 @@ def view_chunks(result: Result, config: ViewConfig, focus: Sequence[str] = ()) -
     `/report`, and the eyes `/camera` and `/now/camera`. Positions are relative to the first
     window's frame origin, so that single precision holds them. Timelines: `time`,
     `scenario_time` (from the first window's start) and `time_unit`.
+
+    Raises
+    ------
+    ConfigError
+        If the result's configuration cannot be read by this version.
     """
     return stage_chunks(*lay_out(result, config, focus))
 
@@ -96,7 +106,13 @@ class Opening:
 
 
 def view_bytes(result: Result, config: ViewConfig, opening: Opening = Opening()) -> bytes:
-    """The view and its layout as the bytes of an .rrd file."""
+    """The view and its layout as the bytes of an .rrd file.
+
+    Raises
+    ------
+    ConfigError
+        If the result's configuration cannot be read by this version.
+    """
     recording = new_recording(result)
     # Into memory, not to a file: Rerun's file writer fails without a word when the disk is full.
     memory = recording.memory_recording()
@@ -128,6 +144,8 @@ def write_view(result: Result, config: ViewConfig, path: Path, opening: Opening 
 
     Raises
     ------
+    ConfigError
+        If the result's configuration cannot be read by this version.
     ExportError
         If the file cannot be written.
     """

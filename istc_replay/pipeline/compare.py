@@ -15,7 +15,7 @@ SCHEMA = "istc-replay.comparison.v1"
 
 
 def compare_read(one: Path, two: Path, folder: Path | None) -> tuple[Comparison, list[Path]]:
-    """Compare two results (folders or result.mcap); write page, view and JSON if a folder is given.
+    """Compare two results (folders or result.mcap); write page, view and figures if a folder is given.
 
     Raises
     ------

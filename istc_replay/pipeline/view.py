@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 
 import polars as pl
 
-from istc_replay.config import ViewConfig, parse_known
+from istc_replay.config import ViewConfig, parse_config
 from istc_replay.errors import UsageError
 from istc_replay.export.rerun_view import Opening, write_view
 from istc_replay.export.rerun_viewer import send_view, start_viewer
@@ -85,7 +85,7 @@ def open_view(
         If the result has no such instant, finding or vehicle.
     """
     result = load_result_folder(source)
-    config = parse_known(result.config_toml)[0].view
+    config = parse_config(result.config_toml, f"{source}: config.toml").view
     origin_ns, first_ns, last_ns = _times(result)
     instant_ns: int | None = None
     vehicles = tuple(dict.fromkeys(focus))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from importlib import resources
 
 from istc_replay.config import GuidanceConfig
-from istc_replay.datatypes import MapBounds, SceneObstacle, StaticScene, VehicleInfo
+from istc_replay.datatypes import CROWD, MapBounds, SceneObstacle, StaticScene, VehicleInfo
 from istc_replay.errors import ScenarioError, UsageError
 from istc_replay.guidance.curves import Curve, Pose
 from istc_replay.guidance.routes import Task, find_paths
@@ -24,8 +24,11 @@ STRAIGHT_FIRST = {"1": 0.50, "2": 0.40, "3": 0.01}
 _STEERING_MAX_RAD = 0.6
 _DECELERATION_MPS2 = 2.0
 _STANDING_S = 3  # recorded after the last arrival
+_STANDING_CROWDED_S = 6  # the same where openings are passed in turn
 _DURATION_MAX_S = 900
 _COUNTS = {4: "four", 6: "six", 8: "eight"}
+#: Larger crossings without obstacles.
+_LARGE = {12: "twelve", 16: "sixteen", 24: "twenty-four"}
 _BLOCKS = {"": "no lanes", "_obstacles": "two blocks in the way", "_row": "three blocks in a row in the way"}
 #: Dense crossings whose logs lie in sample_logs/; the others are made by name.
 _DENSE_LOGS = ("dense_4", "dense_8")
@@ -87,6 +90,12 @@ SAMPLES |= {
 }
 
 
+SAMPLES |= {
+    f"dense_{count}": _dense(f"dense_{count}", f"{word} vehicles cross an open map from its sides")
+    for count, word in _LARGE.items()
+}
+
+
 def sample_names() -> dict[str, str]:
     """Return every sample's name with a line that says what it shows."""
     return {name: sample.description for name, sample in SAMPLES.items()}
@@ -123,7 +132,9 @@ def record(scene: SceneFile, settings: GuidanceConfig | None = None) -> Recorded
         If a vehicle has no path past the obstacles, or the recording would be too long.
     """
     drives = _drives(scene, settings or GuidanceConfig())
-    duration_s = math.ceil(max(drive.pace.arrival_s for drive in drives) - 1e-9) + _STANDING_S
+    crowded = bool(scene.obstacles) and len(scene.vehicles) >= CROWD
+    standing_s = _STANDING_CROWDED_S if crowded else _STANDING_S
+    duration_s = math.ceil(max(drive.pace.arrival_s for drive in drives) - 1e-9) + standing_s
     if duration_s > _DURATION_MAX_S:
         raise ScenarioError(
             f"scene {scene.name}: the recording would last {duration_s} s, at most {_DURATION_MAX_S} s are "

@@ -201,6 +201,24 @@ def test_the_explained_configuration_is_a_configuration(call: Command, tmp_path:
     )
 
 
+def test_view_saves_the_view_of_a_result(
+    call: Command, replayed: tuple[subprocess.CompletedProcess[str], Path], tmp_path: Path
+) -> None:
+    out = tmp_path / "again.rrd"
+    assert call("view", replayed[1] / TURN_FIRST.stem / "result.mcap", "--save", out).returncode == 0
+    assert out.stat().st_size > 10_000
+
+
+def test_view_without_a_screen_says_what_to_do(
+    call: Command, replayed: tuple[subprocess.CompletedProcess[str], Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    done = call("view", replayed[1] / TURN_FIRST.stem)
+    assert done.returncode == 2
+    assert "--save" in done.stderr
+
+
 # --- bad input -------------------------------------------------------------------------------
 
 

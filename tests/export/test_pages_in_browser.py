@@ -74,19 +74,12 @@ def opened(browser: Any, pages: dict[str, Path]) -> Callable[..., Any]:
     return open_page
 
 
+@pytest.mark.parametrize("name", ["report", "hostile", "beside", "audit"])
 @pytest.mark.parametrize(
-    ("name", "viewport", "scheme"),
-    [
-        ("report", DESKTOP, "light"),
-        ("hostile", PHONE, "dark"),  # a report too
-        ("beside", DESKTOP, "dark"),
-        ("beside", PHONE, "light"),
-        ("audit", DESKTOP, "light"),
-        ("audit", PHONE, "dark"),
-    ],
+    ("viewport", "scheme"), [(DESKTOP, "light"), (PHONE, "dark")], ids=["desktop-light", "phone-dark"]
 )
 def test_axe_finds_no_serious_violation(
-    opened: Callable[..., Any], name: str, viewport: dict[str, int], scheme: str
+    opened: Callable[..., Any], name: str, scheme: str, viewport: dict[str, int]
 ) -> None:
     axe = pytest.importorskip("axe_playwright_python.sync_playwright", reason="axe is not installed")
     page = opened(name, viewport=viewport, color_scheme=scheme)

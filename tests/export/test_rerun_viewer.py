@@ -13,11 +13,9 @@ import matplotlib.image
 import numpy as np
 import pytest
 
-from istc_replay.comparison.compare import compare_results
 from istc_replay.config import ViewConfig
 from istc_replay.datatypes import Result
 from istc_replay.export.colours import vehicle_colours
-from istc_replay.export.rerun_beside import write_beside
 from istc_replay.export.rerun_blueprint import blueprint
 from istc_replay.export.rerun_view import Opening, recording_id, write_view
 from istc_replay.export.rerun_viewer import send_view
@@ -131,19 +129,3 @@ def test_the_viewer_listens_on_this_machine_alone(
     viewer_process: Any, listening: Callable[[int], set[str]]
 ) -> None:
     assert listening(viewer_process.pid) == {"127.0.0.1"}
-
-
-def test_two_results_are_shown_side_by_side(
-    viewer: Any, synthetic_result: Result, moved_result: Callable[[Result], Result], tmp_path: Path
-) -> None:
-    other = moved_result(synthetic_result)
-    path = tmp_path / "compare.rrd"
-    write_beside(compare_results(synthetic_result, other), synthetic_result, other, path)
-    viewer.open(str(path))
-    _picture(viewer, 3.0)
-    views = {view.name: view.view_id for view in viewer.get_state().views}
-    assert len(views) == 11
-    one, two = (_picture(viewer, 3.0, views[f"{side}: top-down"]) for side in "AB")
-    assert not _complaints(viewer)
-    assert min(one.std(), two.std()) > 0.02  # not blank
-    assert np.abs(one - two).mean() > 1e-3  # the plans of B lie a metre away

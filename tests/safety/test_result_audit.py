@@ -11,7 +11,6 @@ import pytest
 import istc_replay
 from istc_replay.config import Config
 from istc_replay.datatypes import Result, Verdict
-from istc_replay.export.report import report_html
 from istc_replay.ingest.log import read_log
 from istc_replay.ingest.result import read_result
 from istc_replay.pipeline.replay import Replay, replay_log
@@ -116,13 +115,3 @@ def test_a_plan_that_is_feasible_but_not_proven_optimal_is_a_minor_finding(repla
     summary = {**replayed.result.summary, "windows": [proven]}
     told = istc_replay.audit(replace(replayed.result, summary=summary)).findings["rule"]
     assert "not_proven_optimal" not in set(told)
-
-
-def test_the_report_of_a_run_tells_the_findings_and_the_comparison(replayed: Replay) -> None:
-    text = report_html(replayed.result, TURN_FIRST.name)
-    section = text[text.index("<h2>Recorded behaviour</h2>") :]
-    counts = replayed.summary["audit"]["counts"]
-    assert f"{counts['critical']} critical, {counts['serious']} serious, {counts['minor']} minor" in section
-    assert section.count("✗ critical") == counts["critical"]
-    assert "/vehicles/1/state" in section  # where it stands in the log, not in the result
-    assert "a counterfactual estimate" in text

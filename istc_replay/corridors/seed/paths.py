@@ -1,0 +1,127 @@
+"""Candidate paths of one vehicle: its guidance's, pulled clear of obstacles, with bumps to either side."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from istc_replay.corridors.seed.band import drawn_clear
+from istc_replay.geometry import shift_along
+
+if TYPE_CHECKING:
+    from istc_replay.datatypes import Dimensions, FloatArray, Guidance
+
+#: Places along a path are about this far apart.
+LEVEL_M = 0.5
+_FINE_M = 0.25
+#: How far bumps go to the left, and over which share of the path.
+_BUMPS_M = (1.5, -1.5, 3.0, -3.0, 4.5, -4.5)
+_SPANS = ((0.0, 0.5), (0.25, 0.75), (0.5, 1.0), (0.0, 1.0))
+#: Room that paths pulled clear keep between the car-box and an obstacle's box, beyond the gap.
+_ROOMS_M = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0)
+_BUMPED_ROOMS_M = (0.5, 2.0)
+_CURVATURE_MAX_1PM = 0.27
+_LATERAL_MPS2 = 3.0
+_STEERING_RATE_RADPS = 0.7
+_SAMPLE_M = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SeedPath:
+    """A path of box centres by even arc lengths, `step_m` apart.
+
+    `poses` (S, 3), `curvatures_1pm` (S,), `speeds_mps` (S,): the largest speed at each place, by
+    sideways acceleration and steering rate.
+    """
+
+    poses: FloatArray
+    curvatures_1pm: FloatArray
+    speeds_mps: FloatArray
+    step_m: float
+
+    @property
+    def length_m(self) -> float:
+        """Length of the path."""
+        return self.step_m * (len(self.poses) - 1)
+
+
+def candidate_paths(
+    guide: Guidance,
+    car: Dimensions,
+    boxes_m: FloatArray,
+    bounds_m: tuple[float, float, float, float] | None,
+    gap_m: float,
+) -> list[SeedPath]:
+    """Paths from a guidance's start to its end, its own first.
+
+    Parameters
+    ----------
+    guide : Guidance
+        Its poses are the path.
+    car : Dimensions
+        The box that keeps clear.
+    boxes_m : (O, 4) array
+        x_min, x_max, y_min, y_max of what stands.
+    bounds_m : tuple, optional
+        The map.
+    gap_m : float
+        Gap to obstacles.
+    """
+    x, y, turned = guide.poses.T
+    axle = shift_along(x, y, turned, -car.rear_axle_to_centre_m)
+    arc = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(axle, axis=0).T))])
+    s = np.linspace(0.0, arc[-1], max(4, int(np.ceil(arc[-1] / _FINE_M))) + 1)
+    own = np.column_stack([np.interp(s, arc, row) for row in (*axle.T, np.unwrap(turned))])
+    found = [_seed_path(own, car, guide.speed_mps, sharp=True)]
+    bumped = _bumped(own)
+    for room in _ROOMS_M if len(boxes_m) else ():
+        clear = drawn_clear(own, car, boxes_m, bounds_m, gap_m + room)
+        found.append(_seed_path(clear, car, guide.speed_mps))
+        bumped += _bumped(clear) if room in _BUMPED_ROOMS_M else []
+    found += [_seed_path(poses, car, guide.speed_mps) for poses in bumped]
+    return [path for path in found if path is not None]
+
+
+def _bumped(poses: FloatArray) -> list[FloatArray]:
+    """The path (S, 3) moved aside by a smooth bump over a part of it."""
+    share = np.linspace(0.0, 1.0, len(poses))
+    normal = np.stack([-np.sin(poses[:, 2]), np.cos(poses[:, 2])], axis=-1)
+    found = []
+    for low, high in _SPANS:
+        x = np.clip((share - low) / (high - low), 0.0, 1.0)
+        shape = 64.0 * (x * (1.0 - x)) ** 3  # curvature is continuous at its ends
+        found += [with_headings(poses[:, :2] + b * shape[:, None] * normal, poses) for b in _BUMPS_M]
+    return found
+
+
+def with_headings(points_m: FloatArray, like: FloatArray) -> FloatArray:
+    """Poses (S, 3) along points (S, 2), the headings at both ends those of `like` (S, 3)."""
+    chords = np.gradient(points_m, axis=0)
+    headings = np.unwrap(np.arctan2(chords[:, 1], chords[:, 0]))
+    for end in (0, -1):
+        headings[end] += np.angle(np.exp(1j * (like[end, 2] - headings[end])))
+    return np.column_stack([points_m, headings])
+
+
+def _seed_path(
+    poses: FloatArray, car: Dimensions, cruise_mps: float, *, sharp: bool = False
+) -> SeedPath | None:
+    """Cut a path into even places; None where it bends too much, unless it may be `sharp`."""
+    arc = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
+    fine = np.arange(0.0, max(arc[-1], 2.0 * _SAMPLE_M), _SAMPLE_M)
+    bend = np.gradient(np.interp(fine, arc, poses[:, 2]), fine)
+    if np.abs(bend).max() > _CURVATURE_MAX_1PM and not sharp:
+        return None
+    turning = car.wheelbase_m * np.abs(np.gradient(bend, fine))
+    by_side = np.sqrt(_LATERAL_MPS2 / np.maximum(np.abs(bend), 1e-3))
+    by_rate = _STEERING_RATE_RADPS * (1.0 + (car.wheelbase_m * bend) ** 2) / np.maximum(turning, 1e-3)
+    # The guidance's own speed is taken as drivable where only the sideways acceleration objects.
+    speeds = np.minimum(np.maximum(by_side, cruise_mps), np.maximum(by_rate, cruise_mps if sharp else 0.0))
+    s = np.linspace(0.0, arc[-1], max(2, round(arc[-1] / LEVEL_M)) + 1)
+    x, y, heading = (np.interp(s, arc, poses[:, axis]) for axis in range(3))
+    centres = shift_along(x, y, heading, car.rear_axle_to_centre_m)
+    return SeedPath(
+        np.column_stack([centres, heading]), np.interp(s, fine, bend), np.interp(s, fine, speeds), float(s[1])
+    )

@@ -1,0 +1,30 @@
+"""Candidate paths."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from istc_replay.corridors.seed.paths import candidate_paths
+from istc_replay.datatypes import Dimensions
+
+CAR = Dimensions(4.0, 2.0, 2.7, 1.35)
+
+
+def test_every_candidate_runs_from_start_to_goal_and_bends_no_more_than_a_car_can(meeting: Any) -> None:
+    _, guidance, _ = meeting([(-15.0, 0.0, 0.0)])
+    paths = candidate_paths(guidance[0], CAR, np.array([[-2.0, 2.0, -5.0, -1.0]]), None, 0.2)
+    assert len(paths) > 10
+    for path in paths:
+        assert np.allclose(path.poses[0], [-15.0, 0.0, 0.0], atol=1e-6)
+        assert np.allclose(path.poses[-1], [15.0, 0.0, 0.0], atol=1e-6)
+        assert np.abs(path.curvatures_1pm).max() <= 0.27 + 1e-9
+        assert path.step_m == np.clip(path.step_m, 0.45, 0.55)
+
+
+def test_sharp_candidates_are_driven_slowly(meeting: Any) -> None:
+    _, guidance, _ = meeting([(-15.0, 0.0, 0.0)])
+    for path in candidate_paths(guidance[0], CAR, np.empty((0, 4)), None, 0.2):
+        fast = path.speeds_mps > 5.0
+        assert (path.speeds_mps**2 * np.abs(path.curvatures_1pm))[fast].max(initial=0.0) <= 3.3

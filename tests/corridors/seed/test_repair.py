@@ -1,0 +1,50 @@
+"""Motions of several vehicles that keep clear of each other."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from istc_replay.corridors.seed.repair import Repair
+
+FOUR_WAYS = [(-15.0, 0.0, 0.0), (15.0, 0.0, np.pi), (0.0, -15.0, np.pi / 2), (0.0, 15.0, -np.pi / 2)]
+
+
+def test_four_that_meet_in_the_middle_end_without_conflict(meeting: Any) -> None:
+    lattices = meeting(FOUR_WAYS)[2]
+    repair = Repair(lattices, 0.3, 0)
+    assert repair.run(60, 5)
+    for i, j in combinations(range(4), 2):
+        a, b = repair.motions[i].cubes_m, repair.motions[j].cubes_m
+        apart_x = np.maximum(a[:, 0] - b[:, 1], b[:, 0] - a[:, 1])
+        apart_y = np.maximum(a[:, 2] - b[:, 3], b[:, 2] - a[:, 3])
+        assert np.maximum(apart_x, apart_y).min() >= 0.3 - 2e-3
+
+
+def test_equal_seeds_give_equal_motions(meeting: Any) -> None:
+    lattices = meeting(FOUR_WAYS)[2]
+    first, second = Repair(lattices, 0.3, 3), Repair(lattices, 0.3, 3)
+    first.run(60, 5)
+    second.run(60, 5)
+    for a, b in zip(first.motions, second.motions, strict=True):
+        assert a.path == b.path
+        assert (a.places == b.places).all()
+
+
+def test_improving_never_costs_more(meeting: Any) -> None:
+    lattices = meeting(FOUR_WAYS)[2]
+    rough, better = Repair(lattices, 0.3, 1), Repair(lattices, 0.3, 1)
+    assert rough.run(60, 0)
+    assert better.run(60, 15)
+    assert better.cost <= rough.cost
+
+
+def test_two_that_cannot_pass_are_told_within_the_budget(meeting: Any) -> None:
+    walls = ((-25.0, 25.0, 1.4, 25.0), (-25.0, 25.0, -25.0, -1.4))
+    lattices = meeting(FOUR_WAYS[:2], walls)[2]
+    repair = Repair(lattices, 0.3, 0)
+    assert not repair.run(5, 5)
+    assert repair.rounds <= 5
+    assert (0, 1) in repair.conflicts()

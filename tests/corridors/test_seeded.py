@@ -1,0 +1,73 @@
+"""Crowded scenes from seeds: everybody arrives, nobody meets, and it repeats."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from istc_replay.bench import recorded_log
+from istc_replay.config import Config
+from istc_replay.corridors.formulation import default_limits
+from istc_replay.corridors.solve import solve_corridors
+from istc_replay.datatypes import Corridors, Guidance, Scenario, SolveStatus
+from istc_replay.guidance.build import build_guidance
+from istc_replay.samples.scenes import find_sample
+from istc_replay.scenario import build_scenario
+from istc_replay.windows import log_parts
+
+Case = tuple[Scenario, tuple[Guidance, ...], Config]
+
+
+@pytest.fixture(scope="module")
+def among_obstacles() -> Case:
+    """Four vehicles among two blocks, fast mode."""
+    config = Config()
+    config = config.model_copy(update={"corridors": config.corridors.model_copy(update={"mode": "fast"})})
+    log = recorded_log(find_sample("dense_4_obstacles").record())
+    scenario = build_scenario(next(iter(log_parts(log, config))), config)
+    return scenario, build_guidance(scenario, config.guidance), config
+
+
+def solved(case: Case, **changes: object) -> Corridors:
+    scenario, guidance, config = case
+    settings = config.corridors.model_copy(update=changes)
+    limits = {p.vehicle_id: default_limits(settings) for p in scenario.participants}
+    return solve_corridors(scenario, guidance, settings, limits, 10.0)
+
+
+def test_a_scene_of_four_among_obstacles_is_crowded_and_has_short_units(among_obstacles: Case) -> None:
+    assert among_obstacles[0].crowded
+    assert among_obstacles[0].window.unit_s == 0.5
+
+
+def test_everybody_is_at_the_goal_and_no_two_cubes_meet(among_obstacles: Case) -> None:
+    found = solved(among_obstacles)
+    assert found.status is SolveStatus.FEASIBLE
+    assert len(found.frames) == 4
+    for corridor, guide in zip(found.corridors, among_obstacles[1], strict=True):
+        assert np.hypot(*(corridor.pivots_m[-1] - guide.points_m[-1])) < 0.3
+    for first, second in combinations(found.corridors, 2):
+        a, b = first.cubes_m, second.cubes_m
+        apart = np.stack([a[:, 0] - b[:, 1], b[:, 0] - a[:, 1], a[:, 2] - b[:, 3], b[:, 2] - a[:, 3]])
+        assert apart.max(axis=0).min() >= 0.3 - 1e-5
+    for corridor in found.corridors:
+        for obstacle in among_obstacles[0].obstacles:
+            a, b = corridor.cubes_m, obstacle.boxes_m
+            apart = np.stack([a[:, 0] - b[:, 1], b[:, 0] - a[:, 1], a[:, 2] - b[:, 3], b[:, 2] - a[:, 3]])
+            assert apart.max(axis=0).min() >= 0.2 - 1e-5
+
+
+def test_the_same_scene_gives_the_same_corridors_bit_for_bit(among_obstacles: Case) -> None:
+    first, second = (solved(among_obstacles, seed_improvements=2) for _ in range(2))
+    for a, b in zip(first.corridors, second.corridors, strict=True):
+        assert a.cubes_m.tobytes() == b.cubes_m.tobytes()
+
+
+def test_a_conflict_that_is_left_is_named_with_its_unit(among_obstacles: Case) -> None:
+    found = solved(among_obstacles, vehicle_gap_m=7.0, seeds=1, seed_rounds=2)
+    assert found.status is SolveStatus.LIMIT
+    assert found.reason.startswith("conflict left: ")
+    assert " in time unit " in found.reason
+    assert found.culprits
