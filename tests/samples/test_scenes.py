@@ -209,6 +209,9 @@ def test_every_sample_has_a_name_and_a_line() -> None:
     names = sample_names()
     dense = {f"dense_{count}{kind}" for count in (4, 6, 8) for kind in ("", "_obstacles", "_row")}
     assert set(names) == dense | {
+        "dense_12",
+        "dense_16",
+        "dense_24",
         "intersection_turn_first",
         "intersection_straight_first",
         "intersection_osi",
