@@ -18,7 +18,7 @@ from istc_replay.corridors.seed.paths import LEVEL_M, SeedPath
 from istc_replay.datatypes import FloatArray, Guidance, Obstacle, Participant
 
 _FASTEST_MPS = 6.5
-_ACCELERATION_MPS2, _DECELERATION_MPS2 = 1.5, 2.5
+_ACCELERATION_MPS2, _DECELERATION_MPS2, _BRAKED_MPS2 = 1.5, 2.5, 1.5
 #: The car-box turns by this either way, and by what keeps a bend within the hull of two boxes.
 _SLACK_RAD, _SLACK_MAX_RAD, _SLACK_OF_BEND = 0.05, 0.44, 1.6
 _ROUNDING_M = 1e-3
@@ -95,7 +95,7 @@ class Lattice:
                 for side, box in ((np.minimum, low), (np.maximum, high))
             ]
         ).astype(np.float32)  # (4, P, S, W)
-        free = self._drivable(unit_s)
+        free = self._drivable(unit_s, participant.start.speed_mps)
         if bounds_m is not None:
             lower, upper = np.reshape(bounds_m, (2, 2)).T
             out: Mask = np.any((low < lower - _ROUNDING_M) | (high > upper + _ROUNDING_M), axis=-1)
@@ -179,10 +179,13 @@ class Lattice:
         self._points, self._slack = poses[..., :2], slack
         return poses[..., :2] - half, poses[..., :2] + half
 
-    def _drivable(self, unit_s: float) -> Mask:
+    def _drivable(self, unit_s: float, start_mps: float) -> Mask:
         """Steps (P, S, W) that end on the path and are not too fast for either end."""
         places, steps = self._shape[1], np.arange(self._shape[2])
         speeds = np.stack([np.pad(p.speeds_mps, (0, places - len(p.poses)), mode="edge") for p in self.paths])
+        # Who starts faster than a bend allows brakes into it.
+        braked = np.sqrt(np.maximum(start_mps**2 - 2.0 * _BRAKED_MPS2 * LEVEL_M * np.arange(places), 0.0))
+        speeds = np.maximum(speeds, braked)
         most = np.floor(speeds * unit_s / LEVEL_M + _ROUNDING_M)
         most = np.maximum(most, 1.0)  # creeping is always allowed
         inside = self._to[None] <= self._last[:, None, None]
