@@ -123,7 +123,8 @@ def prove(problem: CorridorProblem, z: FloatArray, node_budget: int) -> TreeOutc
     z : (n,) array
         A solution: what costs more need not be searched.
     node_budget : int
-        Largest number of QPs of the size of `_USUAL`; larger ones count for more.
+        Largest number of QPs of the size of `_USUAL`; of larger ones, which take more steps of more
+        work, it buys fewer by the fourth power of their size.
     """
     qp, costs = PivotQp(problem), vehicle_costs(problem, z)
     parts = _parts(problem, qp)
@@ -131,7 +132,7 @@ def prove(problem: CorridorProblem, z: FloatArray, node_budget: int) -> TreeOutc
     trees = []
     for part in parts:
         size = sum(2 * problem.blocks[vehicle].units for vehicle in part)
-        budget = max(1, round(node_budget / len(parts) * min(1.0, (_USUAL / size) ** 2)))
+        budget = max(1, round(node_budget / len(parts) * min(1.0, (_USUAL / size) ** 4)))
         tree = Tree(problem, qp, part, budget, (), most=sum(costs[v] for v in part))
         if whole:
             tree.plunge(binding_choices(problem, z), budget, first_only=True)
