@@ -8,7 +8,7 @@ from typing import Literal
 import click
 
 from istc_replay import tell
-from istc_replay.cli.common import FILE, chosen_formats, print_lines
+from istc_replay.cli.common import FILE, Progress, chosen_formats, print_lines
 
 _AUDIT_FORMATS: tuple[Literal["html", "md", "json", "junit", "xqar", "parquet"], ...] = (
     *("html", "md", "json", "junit", "xqar", "parquet"),
@@ -61,7 +61,10 @@ def audit(
 
     chosen = chosen_formats(formats, _AUDIT_FORMATS)
     config = None if config_path is None else load_config(config_path)
-    text, code, files = audit_read(source, config, output, chosen, fail_on, clips, as_json=as_json)
+    with Progress(source.name) as progress:
+        text, code, files = audit_read(
+            source, config, output, chosen, fail_on, clips, as_json=as_json, reading=progress.bytes
+        )
     if as_json:
         click.echo(text)
         return code

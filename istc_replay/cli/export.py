@@ -8,7 +8,7 @@ from typing import Literal
 import click
 
 from istc_replay import tell
-from istc_replay.cli.common import FILE, chosen_formats
+from istc_replay.cli.common import FILE, Progress, chosen_formats
 
 _FORMATS: tuple[Literal["parquet", "csv", "foxglove"], ...] = ("parquet", "csv", "foxglove")
 
@@ -32,7 +32,8 @@ def export(source: Path, output: Path, formats: str, config_path: Path | None) -
     from istc_replay.pipeline.tables import export_files
 
     chosen = chosen_formats(formats, _FORMATS)
-    complete, files = export_files(source, output, chosen, load_config(config_path))
+    with Progress(source.name) as progress:
+        complete, files = export_files(source, output, chosen, load_config(config_path), progress.bytes)
     for file in files:
         click.echo(tell.line(file))
     return 0 if complete else 3

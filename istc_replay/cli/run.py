@@ -51,7 +51,7 @@ def run(
     for path, folder in folders.items():
         with Progress(path.name) as progress:
             try:
-                done = run_log(path, folder, config, progress, jobs, live)
+                done = run_log(path, folder, config, progress, jobs, live, reading=progress.bytes)
             except IstcReplayError as error:
                 # Of many logs, one that fails does not stop the others.
                 if len(folders) == 1:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 from istc_replay.units import NS_PER_S
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from istc_replay.config import Config
     from istc_replay.datatypes import Result
@@ -19,7 +19,9 @@ if TYPE_CHECKING:
 _CLIP_NS = 3 * NS_PER_S
 
 
-def audit_path(source: Path, config: Config | None = None) -> Audit:
+def audit_path(
+    source: Path, config: Config | None = None, reading: Callable[[int, int], None] | None = None
+) -> Audit:
     """Audit a log, or a result by its folder or its file.
 
     Parameters
@@ -28,6 +30,8 @@ def audit_path(source: Path, config: Config | None = None) -> Audit:
         A log, a result.mcap, or the folder of one.
     config : Config, optional
         Settings; of a result by default those that it was made with, of a log the defaults.
+    reading : callable, optional
+        Told the bytes of a log that are read, and their number.
     """
     from istc_replay.config import Config
     from istc_replay.ingest.log import read_log
@@ -37,7 +41,7 @@ def audit_path(source: Path, config: Config | None = None) -> Audit:
     if is_result(source):
         return audit_loaded(load_result_folder(source), config)
     settings = config or Config()
-    return audit_log(read_log(source, settings), settings)
+    return audit_log(read_log(source, settings, reading), settings)
 
 
 def audit_loaded(result: Result, config: Config | None = None) -> Audit:
@@ -57,6 +61,7 @@ def audit_read(
     clips: int = 0,
     *,
     as_json: bool = False,
+    reading: Callable[[int, int], None] | None = None,
 ) -> tuple[str, int, list[Path]]:
     """Audit a log or result: what was found as Markdown or JSON, the exit code, the files if there are any.
 
@@ -67,7 +72,7 @@ def audit_read(
     from istc_replay.export.audit import audit_exit_code, audit_markdown, audit_summary, write_audit
     from istc_replay.export.audit.record import json_bytes
 
-    found = audit_path(source, config)
+    found = audit_path(source, config, reading)
     files: list[Path] = []
     if folder is not None:
         file = source / "result.mcap" if source.is_dir() else source

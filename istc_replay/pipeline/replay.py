@@ -77,6 +77,7 @@ def replay_log(
     jobs: int = 1,
     output: Path | None = None,
     progress: Callable[[str, int, int], None] = silent,
+    reading: Callable[[int, int], None] | None = None,
     stages: Stages | None = None,
     live: LiveView | None = None,
 ) -> Replay:
@@ -94,6 +95,8 @@ def replay_log(
         A folder in which finished windows are kept until the run is done.
     progress : callable
         Told what is being done, the windows done and their number.
+    reading : callable, optional
+        Told the bytes of the log that are read, and their number.
     stages : Stages, optional
         Collects the time of each stage.
     live : LiveView, optional
@@ -117,7 +120,7 @@ def replay_log(
 
     progress("reading", 0, 1)
     with timing.stage("ingest"):
-        log = read_log(path, settings)
+        log = read_log(path, settings, reading)
     done = replay_read(log, settings, jobs=jobs, output=output, progress=progress, stages=timing, live=live)
     done.summary["totals"]["cpu_s"] = _cpu_s() - cpu_began
     return done
@@ -217,6 +220,8 @@ def run_log(
     progress: Callable[[str, int, int], None] = silent,
     jobs: int = 1,
     live: LiveView | None = None,
+    *,
+    reading: Callable[[int, int], None] | None = None,
 ) -> Replay:
     """Replay one log and write result.mcap, view.rrd, report.html and summary.json to a folder.
 
@@ -229,7 +234,16 @@ def run_log(
 
     stages = Stages()
     prepare_folder(folder)
-    done = replay_log(path, config, jobs=jobs, output=folder, progress=progress, stages=stages, live=live)
+    done = replay_log(
+        path,
+        config,
+        jobs=jobs,
+        output=folder,
+        progress=progress,
+        reading=reading,
+        stages=stages,
+        live=live,
+    )
     windows = len(done.summary["windows"])
     progress("writing", windows, windows)
     write_run(done, folder, config, path.name, stages)

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Literal
 from istc_replay.errors import UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
     from pathlib import Path
 
     from istc_replay.config import Config
@@ -17,7 +17,11 @@ LAYOUT = "foxglove-layout.json"
 
 
 def export_files(
-    source: Path, folder: Path, formats: Sequence[Literal["parquet", "csv", "foxglove"]], config: Config
+    source: Path,
+    folder: Path,
+    formats: Sequence[Literal["parquet", "csv", "foxglove"]],
+    config: Config,
+    reading: Callable[[int, int], None] | None = None,
 ) -> tuple[bool, list[Path]]:
     """Write a log's or a result's files of these formats; returns whether it was whole, and the files.
 
@@ -30,7 +34,7 @@ def export_files(
 
     tables: list[Literal["parquet", "csv"]] = [kind for kind in formats if kind != "foxglove"]
     if "foxglove" not in formats:
-        return export_tables(source, folder, tables, config)
+        return export_tables(source, folder, tables, config, reading)
     if not is_result(source):
         raise UsageError(f"{source}: a layout fits a result, not a log: run istc-replay on it first")
     complete, files = export_tables(source, folder, tables, config) if tables else (True, [])
@@ -51,7 +55,11 @@ def write_layout(source: Path, folder: Path) -> Path:
 
 
 def export_tables(
-    source: Path, folder: Path, formats: Sequence[Literal["parquet", "csv"]], config: Config
+    source: Path,
+    folder: Path,
+    formats: Sequence[Literal["parquet", "csv"]],
+    config: Config,
+    reading: Callable[[int, int], None] | None = None,
 ) -> tuple[bool, list[Path]]:
     """Write the tables of a log or a result and of its audit; returns whether it was whole, and the files."""
     from istc_replay.export.audit import audit_tables
@@ -66,6 +74,6 @@ def export_tables(
         # What the file has itself goes before what is made anew.
         tables = audit_tables(audit_loaded(result)) | result_tables(result)
         return True, write_tables(tables, folder, formats)
-    log = read_log(source, config)
+    log = read_log(source, config, reading)
     tables = log_tables(log) | audit_tables(audit_log(log, config))
     return log.complete, write_tables(tables, folder, formats)

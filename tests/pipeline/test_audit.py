@@ -58,3 +58,12 @@ def test_the_files_tell_of_the_clips(tmp_path: Path) -> None:
     report = files[0].read_text(encoding="utf-8")
     for path in files[1:]:
         assert f'href="clips/{path.name}"' in report
+
+
+def test_reading_a_log_is_told_by_its_bytes() -> None:
+    told: list[tuple[int, int]] = []
+    audit_path(TURN_FIRST, Config(), lambda done, total: told.append((done, total)))
+    size = TURN_FIRST.stat().st_size
+    assert {total for _, total in told} == {size}
+    assert [done for done, _ in told] == sorted(done for done, _ in told)
+    assert 0 < told[-1][0] <= size
