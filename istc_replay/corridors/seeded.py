@@ -143,7 +143,7 @@ def _anchored(problem: CorridorProblem, seed: Seed, guidance: Sequence[Guidance]
             last = block.pivot[max(1, block.units + 1 - min(int(there.sum()), _HELD)) :]
             lower[last] = np.maximum(lower[last], goal - _AT_GOAL_M)
             upper[last] = np.minimum(upper[last], goal + _AT_GOAL_M)
-            if there.sum() >= _HELD:  # the last cube holds standing alone: layer 2 must come there too
+            if there.sum() >= 2:  # the last cube holds standing alone: layer 2 must come there too
                 half, walls = block.half_gamma_m[-2:].max(axis=0) + _AT_GOAL_M + _ROOM_M, block.cube[-1]
                 lower[walls[::2]] = np.maximum(lower[walls[::2]], goal - half)
                 upper[walls[1::2]] = np.minimum(upper[walls[1::2]], goal + half)
