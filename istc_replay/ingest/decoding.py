@@ -94,6 +94,8 @@ class Decoding:
                     progress(file.position, file.size)
         if held:
             blocks += self._decode(held)
+        if progress is not None:
+            progress(file.position, file.size)
         return blocks
 
     def _wanted(self, channel: Channel) -> bool:
