@@ -404,7 +404,7 @@ class _Rounds:
         )
 
     def _after(self) -> str:
-        return "" if self.round == 1 else f" (after {self.round} rounds of tightened limits)"
+        return "" if self.round == 1 else f" (after {self.round} rounds)"
 
 
 def _undrivable_text(undrivable: Undrivable) -> str:
