@@ -270,8 +270,12 @@ class Decoding:
             self._problems.add("schema", detail, int(payloads.offsets[hit[0]]), name, len(hit))
 
 
+#: Between the bytes of two batches, and after the last.
+_APART = bytes(16)
+
+
 def _joined(batches: list[Batch]) -> tuple[Bytes, Ints, Ints]:
-    """Join the bytes that hold the batches' payloads, and 16 zeros; returns their spans."""
+    """Join the bytes that hold the batches' payloads, 16 zeros after each; returns their spans."""
     parts: list[bytes] = []
     starts, ends = [], []
     length = 0
@@ -280,6 +284,6 @@ def _joined(batches: list[Batch]) -> tuple[Bytes, Ints, Ints]:
         parts.append(batch.buffer[first:last])
         starts.append(batch.starts + (length - first))
         ends.append(batch.ends + (length - first))
-        length += last - first
-    data = np.frombuffer(b"".join([*parts, bytes(16)]), np.uint8)
+        length += last - first + len(_APART)
+    data = np.frombuffer(_APART.join([*parts, b""]), np.uint8)
     return data, np.concatenate(starts), np.concatenate(ends)

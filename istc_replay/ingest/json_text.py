@@ -17,6 +17,9 @@ from istc_replay.ingest.wanted import Mapping, Node, tree
 #: Brackets in one payload that the fast reader is given: how deeply it may nest is not known.
 _BRACKETS = 2000
 _ITEMS = 20_000
+#: Bytes between two payloads that are blanked at most, in words of eight spaces.
+_GAP, _WORD, _SPACES = 64, 8, 0x2020202020202020
+_LINE_BREAK = 10
 _INT64 = 2**63
 #: What is told in whole numbers.
 _WHOLE = {"time", "time_ns", "vehicle_id"}
@@ -31,35 +34,32 @@ class JsonDecoder:
 
     def decode(self, data: Bytes, starts: Ints, ends: Ints) -> Decoded:
         """Decode the payloads that these spans of data hold."""
-        raw = data.base if isinstance(data.base, bytes) else data.tobytes()
-        payloads = list(map(raw.__getitem__, map(slice, starts.tolist(), ends.tolist())))
         # What is shorter than this cannot nest more deeply.
-        deep = int((ends - starts).max(initial=0)) > _BRACKETS and any(map(_is_deep, payloads))
-        columns = None if self._items or deep else self._fast(payloads)
+        deep = int((ends - starts).max(initial=0)) > _BRACKETS and any(
+            map(_is_deep, _cut(data, starts, ends))
+        )
+        columns = None if self._items or deep else self._fast(data, starts, ends)
         if columns is not None:
-            return Decoded(np.arange(len(payloads)), columns, [])
-        return self._exact(payloads)
+            return Decoded(np.arange(len(starts)), columns, [])
+        return self._exact(_cut(data, starts, ends))
 
     # --- by Polars -----------------------------------------------------------------------------
 
-    def _fast(self, payloads: list[bytes]) -> dict[str, Column] | None:
+    def _fast(self, data: Bytes, starts: Ints, ends: Ints) -> dict[str, Column] | None:
         """Read all payloads as one table; None where any of them is not as the first one is."""
         try:
-            first = _load(payloads[0])
+            first = _load(data[starts[0] : ends[0]].tobytes())
             schema = pl.Schema(_schema(self._root, first))
         except PayloadError:
             return None
         if not schema:
             return None
-        lines = b"\n".join(payloads)
-        if lines.count(b"\n") >= len(payloads):
-            # A line break may stand between the tokens of JSON, never within one.
-            lines = b"\n".join(payload.replace(b"\n", b" ") for payload in payloads)
+        lines = _lines(data, starts, ends)
         try:
             table = pl.read_ndjson(lines, schema=schema)
         except (pl.exceptions.PolarsError, ValueError, OverflowError):
             return None
-        if table.height != len(payloads):
+        if table.height != len(starts):
             return None
         return {target: _column_of(column) for target, column in _columns(self._root, first, table)}
 
@@ -103,6 +103,28 @@ class JsonDecoder:
             item = dict(header)
             _gather(Node(node.children), part, item, "")
             yield item
+
+
+def _cut(data: Bytes, starts: Ints, ends: Ints) -> list[bytes]:
+    raw = data.base if isinstance(data.base, bytes) else data.tobytes()
+    return list(map(raw.__getitem__, map(slice, starts.tolist(), ends.tolist())))
+
+
+def _lines(data: Bytes, starts: Ints, ends: Ints) -> bytes:
+    """Put each payload on a line of its own; what stands between two is blanked, where it is short."""
+    gaps = starts[1:] - ends[:-1]
+    if gaps.min(initial=_WORD) >= _WORD and gaps.max(initial=0) <= _GAP:
+        text = data[starts[0] : ends[-1]].copy()
+        ended = ends[:-1] - starts[0]
+        # Eight bytes at a time, wherever they stand; the last eight may overlap those before.
+        words = np.ndarray(max(len(text) - _WORD + 1, 0), np.uint64, text, strides=(1,))
+        for step in range(0, int(gaps.max(initial=0)), _WORD):
+            words[ended + np.minimum(step, gaps - _WORD)] = _SPACES
+        text[ended] = _LINE_BREAK
+        if np.count_nonzero(text == _LINE_BREAK) < len(starts):
+            return text.tobytes()
+    # A line break may stand between the tokens of JSON, never within one.
+    return b"\n".join(payload.replace(b"\n", b" ") for payload in _cut(data, starts, ends))
 
 
 def _is_deep(payload: bytes) -> bool:
