@@ -34,7 +34,7 @@ _DRAWN = frozenset(
     if chr(c).isprintable() and c != 0x149 and (c < 0x180 or c >= 0x400 or chr(c).isalpha())
 )
 #: A row's identity and its three times.
-_INDEX_BYTES = 52.0
+_INDEX_BYTES = 54.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
