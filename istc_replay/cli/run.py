@@ -22,7 +22,11 @@ if TYPE_CHECKING:
     "-o", "--output", type=FILE, default=Path("results"), show_default=True, help="Folder of the results."
 )
 @click.option(
-    "--jobs", type=click.IntRange(1, 256), default=1, show_default=True, help="Windows planned at once."
+    "--jobs",
+    type=click.IntRange(1, 256),
+    default=1,
+    show_default=True,
+    help="Windows planned at once; one where windows are handed over.",
 )
 @click.option("--view", is_flag=True, help="Watch the windows in Rerun while they are solved.")
 @click.option("--connect", metavar="URL", help="Watch them in the Rerun viewer that runs there.")

@@ -11,6 +11,7 @@ import polars as pl
 
 from istc_replay.datatypes import Problem, StaticScene
 from istc_replay.errors import LogError
+from istc_replay.ingest.meaning import PLAIN
 from istc_replay.ingest.problems import Problems, quoted
 from istc_replay.states import STATES_SCHEMA, conform
 from istc_replay.units import NS_PER_S, wrap_angle
@@ -19,20 +20,6 @@ from istc_replay.units import NS_PER_S, wrap_angle
 STATES_LIMIT = 20_000_000
 _ID_LIMIT = 256
 _LAST_S = 9.2e9
-NUMBERS = (
-    "x_m",
-    "y_m",
-    "heading_rad",
-    "speed_mps",
-    "acceleration_mps2",
-    "steering_rad",
-    "steering_rate_radps",
-    "jerk_mps3",
-    "length_m",
-    "width_m",
-    "wheelbase_m",
-    "rear_axle_to_centre_m",
-)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,7 +47,7 @@ class Gathered:
         self._codes: dict[str, int] = {}
         self._vehicles, self._roles = array("l"), array("b")
         self._role_codes: dict[str, int] = {}
-        self._numbers = {name: array("d") for name in NUMBERS}
+        self._numbers = {name: array("d") for name in PLAIN}
 
     def __len__(self) -> int:
         return len(self._times)

@@ -13,8 +13,8 @@ import polars as pl
 
 from istc_replay.datatypes import StaticScene
 from istc_replay.errors import LogError
-from istc_replay.ingest.foreign import NUMBERS, STATES_LIMIT, ForeignRecording
-from istc_replay.ingest.meaning import ROLES
+from istc_replay.ingest.foreign import STATES_LIMIT, ForeignRecording
+from istc_replay.ingest.meaning import PLAIN, ROLES
 from istc_replay.ingest.parquet import ParquetTable
 from istc_replay.ingest.problems import Problems, quoted
 from istc_replay.ingest.xml_stream import Progress
@@ -190,7 +190,7 @@ def _recognised(path: Path, columns: Sequence[str], given: Mapping[str, str]) ->
             raise LogError(f"{path}: ingest.columns names {quoted(name, 40)}; it has {_listed(columns)}")
         names[target] = name
     lower = {name.lower(): name for name in reversed(columns)}
-    for target in (*_ALSO, *NUMBERS):
+    for target in (*_ALSO, *PLAIN):
         if target not in names:
             known = (target, *_ALSO.get(target, ()))
             found = next((lower[name] for name in known if name in lower), None)
@@ -236,7 +236,7 @@ class _Piece:
     def states(self) -> pl.DataFrame:
         """Return the states of the rows that are sound; the others are told."""
         columns = {"time_ns": self._times(), "vehicle_id": self._vehicles(), "role": self._roles()}
-        for target in NUMBERS:
+        for target in PLAIN:
             if target in self._names:
                 columns[target] = self._floats(target)
         if "heading_deg" in self._names and "heading_rad" not in columns:
