@@ -6,6 +6,29 @@ import polars as pl
 
 from istc_replay.errors import LogError
 
+#: Pose and motion of a box's centre, in the map frame.
+_MOTION = {
+    "x_m": pl.Float64(),
+    "y_m": pl.Float64(),
+    "heading_rad": pl.Float64(),
+    "speed_mps": pl.Float64(),  # along the heading, negative when reversing
+    "acceleration_mps2": pl.Float64(),
+    "steering_rad": pl.Float64(),
+    "steering_rate_radps": pl.Float64(),
+    "jerk_mps3": pl.Float64(),
+}
+#: The body, and where its message stands.
+_BODY = {
+    "length_m": pl.Float64(),
+    "width_m": pl.Float64(),
+    "wheelbase_m": pl.Float64(),
+    "rear_axle_to_centre_m": pl.Float64(),
+    "role": pl.String(),  # vehicle, pedestrian, bicycle, other
+    "topic": pl.String(),
+    "message_index": pl.Int64(),  # position of the message within its topic
+    "derived": pl.UInt8(),  # bits: 1 heading, 2 speed, 4 acceleration were derived
+}
+
 #: One row a recorded state, as ingest gives it: box centre, map frame, sorted by vehicle and time.
 STATES_SCHEMA = pl.Schema(
     {
@@ -13,22 +36,8 @@ STATES_SCHEMA = pl.Schema(
         "time_ns": pl.Int64(),  # the chosen time source
         "log_time_ns": pl.Int64(),
         "publish_time_ns": pl.Int64(),
-        "x_m": pl.Float64(),
-        "y_m": pl.Float64(),
-        "heading_rad": pl.Float64(),
-        "speed_mps": pl.Float64(),  # along the heading, negative when reversing
-        "acceleration_mps2": pl.Float64(),
-        "steering_rad": pl.Float64(),
-        "steering_rate_radps": pl.Float64(),
-        "jerk_mps3": pl.Float64(),
-        "length_m": pl.Float64(),
-        "width_m": pl.Float64(),
-        "wheelbase_m": pl.Float64(),
-        "rear_axle_to_centre_m": pl.Float64(),
-        "role": pl.String(),  # vehicle, pedestrian, bicycle, other
-        "topic": pl.String(),
-        "message_index": pl.Int64(),  # position of the message within its topic
-        "derived": pl.UInt8(),  # bits: 1 heading, 2 speed, 4 acceleration were derived
+        **_MOTION,
+        **_BODY,
     }
 )
 
@@ -40,22 +49,8 @@ RESULT_STATES_SCHEMA = pl.Schema(
         "window": pl.Int32(),
         "vehicle_id": pl.String(),
         "time_ns": pl.Int64(),
-        "x_m": pl.Float64(),
-        "y_m": pl.Float64(),
-        "heading_rad": pl.Float64(),
-        "speed_mps": pl.Float64(),
-        "acceleration_mps2": pl.Float64(),
-        "steering_rad": pl.Float64(),
-        "steering_rate_radps": pl.Float64(),
-        "jerk_mps3": pl.Float64(),
-        "length_m": pl.Float64(),
-        "width_m": pl.Float64(),
-        "wheelbase_m": pl.Float64(),
-        "rear_axle_to_centre_m": pl.Float64(),
-        "role": pl.String(),
-        "topic": pl.String(),
-        "message_index": pl.Int64(),  # position of the message within its topic
-        "derived": pl.UInt8(),  # bits: 1 heading, 2 speed, 4 acceleration were derived
+        **_MOTION,
+        **_BODY,
     }
 )
 

@@ -55,43 +55,19 @@ def bomb_log() -> bytes:
     name = b"zstd"
     chunk = struct.pack("<QQQI", 0, 1, 1 << 30, 0) + struct.pack("<I", len(name)) + name
     chunk += struct.pack("<Q", len(packed)) + packed
-    header = struct.pack("<I", 0) + struct.pack("<I", 0)
-    footer = struct.pack("<QQI", 0, 0, 0)
-    return (
-        MAGIC
-        + b"\x01"
-        + struct.pack("<Q", len(header))
-        + header
-        + b"\x06"
-        + struct.pack("<Q", len(chunk))
-        + chunk
-        + b"\x0f"
-        + struct.pack("<Q", 4)
-        + struct.pack("<I", 0)
-        + b"\x02"
-        + struct.pack("<Q", len(footer))
-        + footer
-        + MAGIC
-    )
+    return _log((0x06, chunk))
 
 
 def empty_log() -> bytes:
     """A log without any vehicle."""
-    header = struct.pack("<I", 0) + struct.pack("<I", 0)
-    footer = struct.pack("<QQI", 0, 0, 0)
-    return (
-        MAGIC
-        + b"\x01"
-        + struct.pack("<Q", len(header))
-        + header
-        + b"\x0f"
-        + struct.pack("<Q", 4)
-        + struct.pack("<I", 0)
-        + b"\x02"
-        + struct.pack("<Q", len(footer))
-        + footer
-        + MAGIC
-    )
+    return _log()
+
+
+def _log(*records: tuple[int, bytes]) -> bytes:
+    """A log of a header, the given records (opcode, content), and an end without a summary."""
+    header, data_end, footer = bytes(8), bytes(4), bytes(20)
+    parts = [(0x01, header), *records, (0x0F, data_end), (0x02, footer)]
+    return MAGIC + b"".join(bytes([op]) + struct.pack("<Q", len(body)) + body for op, body in parts) + MAGIC
 
 
 if __name__ == "__main__":
