@@ -44,10 +44,11 @@ def vehicle_colours(vehicle_ids: Iterable[str]) -> dict[str, Colour]:
     dict
         Red, green and blue, 0 to 255, by vehicle id, in the order of the ids.
     """
-    return {vehicle_id: _colour(vehicle_id) for vehicle_id in sorted(set(vehicle_ids), key=_natural)}
+    return {vehicle_id: vehicle_colour(vehicle_id) for vehicle_id in sorted(set(vehicle_ids), key=_natural)}
 
 
-def _colour(vehicle_id: str) -> Colour:
+def vehicle_colour(vehicle_id: str) -> Colour:
+    """The colour of one vehicle, as `vehicle_colours` gives it."""
     name, number = re.fullmatch(r"(.*?)([0-9]{0,9})", vehicle_id, re.DOTALL).groups()  # type: ignore[union-attr]
     digest = hashlib.sha256(name.encode("utf-8", "surrogatepass")).digest()
     begin = int.from_bytes(digest[:4], "big") if name else 0

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+import heapq
+from collections.abc import Iterable, Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -45,16 +46,62 @@ _KINEMATICS = (
     "steering_rate_radps",
     "jerk_mps3",
 )
+#: States made messages of at a time.
+_ROWS = 8192
 _SIZES = ("length_m", "width_m", "wheelbase_m", "rear_axle_to_centre_m")
 
 
-def recorded_messages(states: pl.DataFrame) -> Iterator[Stamped]:
-    """Give every recorded state as it was read, in the table's order.
+def place(stamped: Stamped) -> tuple[int, str]:
+    """Where a message stands in a file.
 
-    A size is told where both length and width are known.
+    MCAP's times are unsigned; a log may count from an origin in its midst.
     """
+    return max(stamped[0], 0), stamped[1]
+
+
+def in_order(groups: Iterable[tuple[int, Iterable[Stamped]]]) -> Iterator[Stamped]:
+    """Give messages in their order in the file, holding back as few as possible.
+
+    Parameters
+    ----------
+    groups : iterable of (int, iterable of Stamped)
+        The start of each, ascending, and its messages, none of them before it. Messages of one
+        topic and instant keep their order.
+    """
+    held: list[Stamped] = []
+    for start_ns, messages_of_group in groups:
+        begin = (max(start_ns, 0), "")
+        ready = [stamped for stamped in held if place(stamped) < begin]
+        held = [stamped for stamped in held if place(stamped) >= begin]
+        yield from ready
+        held += messages_of_group
+        held.sort(key=place)
+    yield from held
+
+
+def merged(*sources: Iterable[Stamped]) -> Iterator[Stamped]:
+    """Join messages that are each in their order; of one topic and instant, in that of the sources."""
+    return heapq.merge(*sources, key=place)
+
+
+def recorded_messages(states: pl.DataFrame) -> Iterator[Stamped]:
+    """Give every recorded state as it was read, in its order in the file.
+
+    States of one vehicle and instant keep the table's order. A size is told where both length and
+    width are known.
+    """
+    names = {
+        vehicle: f"/istc/recorded/{topic_name(vehicle)}" for vehicle in states["vehicle_id"].unique().sort()
+    }
+    rank = {vehicle: row for row, vehicle in enumerate(sorted(names, key=lambda vehicle: names[vehicle]))}
+    ranks = states["vehicle_id"].replace_strict(rank, return_dtype=pl.Int32)
+    order = np.lexsort([ranks.to_numpy(), states["time_ns"].clip(0).to_numpy()])
+    for first in range(0, len(order), _ROWS):
+        yield from _recorded(states[order[first : first + _ROWS]], names)
+
+
+def _recorded(states: pl.DataFrame, names: Mapping[str, str]) -> Iterator[Stamped]:
     vehicle_state, dimensions = messages.message("VehicleState"), messages.message("Dimensions")
-    names = {vehicle: f"/istc/recorded/{topic_name(vehicle)}" for vehicle in states["vehicle_id"].unique()}
     columns = ("time_ns", "vehicle_id", "x_m", "y_m", *_KINEMATICS, "role", "derived")
     size_columns = states.select(_SIZES).iter_rows()
     # A vehicle is what a state tells of unless it says otherwise.
@@ -117,10 +164,15 @@ def certificate_message(certificate: Certificate, start_ns: int) -> Stamped:
 
 
 def finding_messages(findings: pl.DataFrame) -> Iterator[Stamped]:
-    """Give the findings of the audit, each at the instant at which it is worst."""
+    """Give the findings of the audit, each at the instant at which it is worst, in order of time."""
     finding = messages.message("Finding")
-    for row in findings.iter_rows(named=True):
+    for row in by_time(findings).iter_rows(named=True):
         yield row["worst_ns"], "/istc/findings", finding(**row)
+
+
+def by_time(findings: pl.DataFrame) -> pl.DataFrame:
+    """Findings in their order in the file."""
+    return findings.sort(pl.col("worst_ns").clip(0), maintain_order=True)
 
 
 def scene_message(scene: StaticScene) -> Any:

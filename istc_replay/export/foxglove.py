@@ -7,7 +7,7 @@ in time shows the last message alone; whatever it shows ends with the next messa
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
 from itertools import groupby
 
@@ -30,10 +30,10 @@ from google.protobuf.duration_pb2 import Duration
 from google.protobuf.timestamp_pb2 import Timestamp
 
 from istc_replay.config import VehiclesConfig
-from istc_replay.datatypes import FloatArray, Log, StaticScene, WindowPlan
+from istc_replay.datatypes import FloatArray, Log, StaticScene, Window, WindowPlan
 from istc_replay.export.colours import LANE, OBSTACLE, Colour
-from istc_replay.export.encode import Stamped
-from istc_replay.export.film import Block, Frames, Track, blocks, film, scene_colours, tracks
+from istc_replay.export.encode import Stamped, in_order, merged
+from istc_replay.export.film import LAST_NS, Block, Film, Frame, Track, blocks, film
 from istc_replay.export.placing import first_ns, planned_motions, topic_name
 from istc_replay.units import NS_PER_S
 
@@ -43,8 +43,10 @@ _CAR_HEIGHT_M, _LABEL_HEIGHT_M = 1.5, 0.6
 _LINE_POINTS_LIMIT = 500_000
 
 
-def foxglove_messages(log: Log, plans: Sequence[WindowPlan], vehicles: VehiclesConfig) -> Iterator[Stamped]:
-    """Give `/tf`, `/istc/path/<vehicle>` and `/istc/scene`.
+def foxglove_messages(
+    log: Log, plans: Sequence[WindowPlan], windows: Sequence[Window], vehicles: VehiclesConfig
+) -> Iterator[Stamped]:
+    """Give `/tf`, `/istc/path/<vehicle>` and `/istc/scene`, in their order in the file.
 
     Transforms lead from `map` to the box centres `recorded/<vehicle>` at every recorded state and
     `vehicle/<vehicle>` at every knot of the plan, and to `corridor/<window>`. Where windows lie
@@ -55,69 +57,92 @@ def foxglove_messages(log: Log, plans: Sequence[WindowPlan], vehicles: VehiclesC
     log : Log
         What was recorded.
     plans : sequence of WindowPlan
-        One a window, in order.
+        One a window, in order; gone through more than once.
+    windows : sequence of Window
+        Those of the plans.
     vehicles : VehiclesConfig
         The sizes at which vehicles of unknown size are drawn.
     """
-    shown = tracks(log, plans, vehicles)
-    yield from _transforms(shown, plans)
-    yield from _paths(plans)
-    frames = film(shown, blocks(plans, scene_colours(log, plans)))
-    yield from _scenes(frames, log.scene, first_ns(log, plans))
+    starts_ns = [window.start_ns for window in windows]
+    made = film(log, plans, starts_ns, vehicles)
+    boxes = (
+        (start_ns, blocks(plan, until_ns))
+        for plan, start_ns, until_ns in zip(plans, starts_ns, [*starts_ns[1:], LAST_NS], strict=False)
+    )
+    return merged(
+        _transforms(made, windows),
+        _paths(plans, made),
+        _scenes(made.frames(boxes), len(made.times_ns), log.scene, first_ns(log, windows)),
+    )
 
 
 # --- transforms and paths --------------------------------------------------------------------
 
 
-def _transforms(shown: Sequence[Track], plans: Sequence[WindowPlan]) -> Iterator[Stamped]:
-    rows: list[tuple[int, str, list[float]]] = []
-    for plan in plans:
-        window = plan.scenario.window
-        pose = [window.frame.x_m, window.frame.y_m, window.frame.yaw_rad]
-        rows.append((window.start_ns, f"corridor/{window.index}", pose))
-    for track in shown:
-        rows += [
-            (time_ns, track.frame_id, pose)
-            for time_ns, pose in zip(track.times_ns.tolist(), track.poses.tolist(), strict=True)
-        ]
-    rows.sort(key=lambda row: row[0])
-    for time_ns, group in groupby(rows, key=lambda row: row[0]):
-        stamp = timestamp(time_ns)
-        transforms = [
-            FrameTransform(
-                timestamp=stamp,
-                parent_frame_id=MAP,
-                child_frame_id=frame_id,
-                translation=Vector3(x=x, y=y, z=0.0),
-                rotation=_rotation(heading),
-            )
-            for _, frame_id, (x, y, heading) in group
-        ]
-        yield time_ns, "/tf", FrameTransforms(transforms=transforms)
+def _transforms(made: Film, windows: Sequence[Window]) -> Iterator[Stamped]:
+    frames = [
+        (
+            window.start_ns,
+            f"corridor/{window.index}",
+            [window.frame.x_m, window.frame.y_m, window.frame.yaw_rad],
+        )
+        for window in windows
+    ]
+    for start_ns, until_ns in made.spans():
+        rows = [row for row in frames if start_ns <= row[0] < until_ns]
+        for track in made.tracks:
+            if start_ns <= track.times_ns[-1] and track.times_ns[0] < until_ns:
+                here = slice(*np.searchsorted(track.times_ns, [start_ns, until_ns]))
+                poses = track.poses[here].tolist()
+                rows += [
+                    (time_ns, track.frame_id, pose)
+                    for time_ns, pose in zip(track.times_ns[here].tolist(), poses, strict=True)
+                ]
+        rows.sort(key=lambda row: row[0])
+        for time_ns, group in groupby(rows, key=lambda row: row[0]):
+            yield time_ns, "/tf", _transform(time_ns, group)
 
 
-def _paths(plans: Sequence[WindowPlan]) -> Iterator[Stamped]:
-    motions = planned_motions(plans)
-    starts = {(motion.vehicle_id, int(motion.times_ns[0])) for motion in motions}
-    last_ns = max((int(motion.times_ns[-1]) for motion in motions), default=0)
-    for motion in motions:
-        topic = f"/istc/path/{topic_name(motion.vehicle_id)}"
-        start_ns, end_ns = int(motion.times_ns[0]), int(motion.times_ns[-1])
-        poses = [_pose(*pose) for pose in motion.poses.tolist()]
-        yield start_ns, topic, PosesInFrame(timestamp=timestamp(start_ns), frame_id=MAP, poses=poses)
-        followed = (motion.vehicle_id, end_ns) in starts
-        if end_ns < last_ns and not followed:
-            # A path has no lifetime: an empty one takes it off the screen.
-            yield end_ns, topic, PosesInFrame(timestamp=timestamp(end_ns), frame_id=MAP)
+def _transform(time_ns: int, rows: Iterable[tuple[int, str, list[float]]]) -> FrameTransforms:
+    stamp = timestamp(time_ns)
+    transforms = [
+        FrameTransform(
+            timestamp=stamp,
+            parent_frame_id=MAP,
+            child_frame_id=frame_id,
+            translation=Vector3(x=x, y=y, z=0.0),
+            rotation=_rotation(heading),
+        )
+        for _, frame_id, (x, y, heading) in rows
+    ]
+    return FrameTransforms(transforms=transforms)
+
+
+def _paths(plans: Iterable[WindowPlan], made: Film) -> Iterator[Stamped]:
+    starts = {(vehicle_id, start_ns) for vehicle_id, start_ns, _ in made.planned}
+    last_ns = max((end_ns for _, _, end_ns in made.planned), default=0)
+
+    def of_window(plan: WindowPlan) -> Iterator[Stamped]:
+        for motion in planned_motions(plan):
+            topic = f"/istc/path/{topic_name(motion.vehicle_id)}"
+            start_ns, end_ns = int(motion.times_ns[0]), int(motion.times_ns[-1])
+            poses = [_pose(*pose) for pose in motion.poses.tolist()]
+            yield start_ns, topic, PosesInFrame(timestamp=timestamp(start_ns), frame_id=MAP, poses=poses)
+            followed = (motion.vehicle_id, end_ns) in starts
+            if end_ns < last_ns and not followed:
+                # A path has no lifetime: an empty one takes it off the screen.
+                yield end_ns, topic, PosesInFrame(timestamp=timestamp(end_ns), frame_id=MAP)
+
+    return in_order((plan.scenario.window.start_ns, of_window(plan)) for plan in plans)
 
 
 # --- the scene -------------------------------------------------------------------------------
 
 
-def _scenes(frames: Frames, scene: StaticScene, start_ns: int) -> Iterator[Stamped]:
+def _scenes(frames: Iterator[Frame], count: int, scene: StaticScene, start_ns: int) -> Iterator[Stamped]:
     still = SceneUpdate(entities=_still_entities(scene, start_ns))
     points = sum(len(line.points_m) for line in scene.lane_lines)
-    repeated = points * len(frames.times_ns) <= _LINE_POINTS_LIMIT
+    repeated = points * count <= _LINE_POINTS_LIMIT
     yielded = False
     for time_ns, cars, boxes in frames:
         message = SceneUpdate()

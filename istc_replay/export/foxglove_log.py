@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 import polars as pl
 from foxglove_schemas_protobuf.Log_pb2 import Log as LogMessage
 
 from istc_replay.datatypes import Certificate, Verdict, WindowPlan, WindowStatus
-from istc_replay.export.encode import Stamped
+from istc_replay.export.encode import Stamped, by_time, in_order, merged, place
 from istc_replay.export.foxglove import timestamp
 from istc_replay.export.text import shortened, visible
 from istc_replay.units import seconds_to_ns
@@ -27,31 +27,41 @@ _MESSAGE, _NAME = 1000, 60
 
 
 def log_messages(
-    plans: Sequence[WindowPlan], certificates: Sequence[Certificate], findings: pl.DataFrame | None
+    plans: Sequence[WindowPlan],
+    starts_ns: Mapping[int, int],
+    certificates: Sequence[Certificate],
+    findings: pl.DataFrame | None,
 ) -> Iterator[Stamped]:
-    """Give `/istc/log`: each window's verdict, who is left out, checks that fail, findings.
+    """Give `/istc/log`: each window's verdict, who is left out, checks that fail, findings; in order of time.
 
     A line names its source in `name`; a finding's `file` and `line` are the topic and the message
     that it rests on. Findings stand at their worst instants, failed checks at their witnesses.
+    `starts_ns` are those of the windows by index.
     """
-    starts = {plan.scenario.window.index: plan.scenario.window.start_ns for plan in plans}
-    for plan in plans:
-        yield from _window(plan)
+    windows = in_order((plan.scenario.window.start_ns, _window(plan)) for plan in plans)
+    checks = sorted(_checks(certificates, starts_ns), key=place)
+    return merged(windows, checks, _findings(findings) if findings is not None else ())
+
+
+def _checks(certificates: Sequence[Certificate], starts_ns: Mapping[int, int]) -> Iterator[Stamped]:
     for check in certificates:
         level = _VERDICTS.get(check.verdict)
         if level is not None:
-            time_ns = starts[check.window] + (0 if check.time_s is None else seconds_to_ns(check.time_s))
+            time_ns = starts_ns[check.window] + (0 if check.time_s is None else seconds_to_ns(check.time_s))
             margin = "" if check.margin is None else f" by {check.margin:.4g} {check.unit}"
             text = f"{check.check}: {check.verdict}{margin}{_whom(check.vehicles)}"
             yield _said(time_ns, level, f"window {check.window}", text, check.detail)
-    for row in findings.iter_rows(named=True) if findings is not None else ():
+
+
+def _findings(findings: pl.DataFrame) -> Iterator[Stamped]:
+    for row in by_time(findings).iter_rows(named=True):
         told = row["value"]
         figure = "" if told is None else f" {told:.3g} {row['unit'] or ''}".rstrip()
         severity = row["severity"] or row["verdict"]
         text = f"{severity}: {row['rule']}{figure}{_whom(row['vehicles'] or ())}"
         level = _SEVERITIES.get(row["severity"], _INFO)
-        place = row["topic"] or "", max(row["message_index"] or 0, 0)
-        yield _said(row["worst_ns"], level, "audit", text, row["detail"], place)
+        where = row["topic"] or "", max(row["message_index"] or 0, 0)
+        yield _said(row["worst_ns"], level, "audit", text, row["detail"], where)
 
 
 def _window(plan: WindowPlan) -> Iterator[Stamped]:
@@ -68,9 +78,9 @@ def _whom(vehicles: Sequence[str]) -> str:
 
 
 def _said(
-    time_ns: int, level: int, name: str, text: str, detail: str | None, place: tuple[str, int] = ("", 0)
+    time_ns: int, level: int, name: str, text: str, detail: str | None, where: tuple[str, int] = ("", 0)
 ) -> Stamped:
-    file, line = place
+    file, line = where
     text = f"{text}: {detail}" if detail else text
     message = LogMessage(
         timestamp=timestamp(time_ns),

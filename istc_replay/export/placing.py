@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import re
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,15 +65,12 @@ def planned_motion(trajectory: Trajectory, window: Window) -> PlannedMotion:
     )
 
 
-def planned_motions(plans: Sequence[WindowPlan]) -> list[PlannedMotion]:
-    """Place the trajectories of all certified windows, in their order."""
-    return [
-        planned_motion(trajectory, plan.scenario.window)
-        for plan in plans
-        if plan.status in (WindowStatus.CERTIFIED, WindowStatus.PARTIAL)
-        for trajectory in plan.trajectories
-        if len(trajectory.times_s)
-    ]
+def planned_motions(plan: WindowPlan) -> Iterator[PlannedMotion]:
+    """Place the trajectories of a window in their order, if it is certified."""
+    if plan.status in (WindowStatus.CERTIFIED, WindowStatus.PARTIAL):
+        for trajectory in plan.trajectories:
+            if len(trajectory.times_s):
+                yield planned_motion(trajectory, plan.scenario.window)
 
 
 def map_poses(poses: ArrayLike, frame: Frame) -> FloatArray:
@@ -95,9 +92,9 @@ def unit_span_ns(window: Window, k: int) -> tuple[int, int]:
     )
 
 
-def first_ns(log: Log, plans: Sequence[WindowPlan]) -> int:
+def first_ns(log: Log, windows: Sequence[Window]) -> int:
     """Return the first instant of the states and windows, 0 where there are none [ns]."""
-    times = [plan.scenario.window.start_ns for plan in plans]
+    times = [window.start_ns for window in windows]
     if log.states.height:
         times.append(log.states["time_ns"].min())  # type: ignore[arg-type]
     return min(times, default=log.start_ns or 0)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import io
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from typing import Any
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, BinaryIO
 
 import polars as pl
 from mcap.writer import CompressionType, Writer
@@ -18,6 +18,9 @@ from istc_replay.export.encode import (
     Stamped,
     certificate_message,
     finding_messages,
+    in_order,
+    merged,
+    place,
     plan_messages,
     recorded_messages,
     scene_message,
@@ -32,7 +35,8 @@ from istc_replay.ingest.result import repeatable_summary
 _TOPIC_LIMIT = 2**16 - 1
 
 
-def result_bytes(
+def write_result(
+    stream: BinaryIO,
     log: Log,
     plans: Sequence[WindowPlan],
     certificates: Sequence[Certificate],
@@ -42,8 +46,8 @@ def result_bytes(
     *,
     findings: pl.DataFrame | None = None,
     shown: bool = True,
-) -> bytes:
-    """Write a result as one MCAP file, in memory.
+) -> None:
+    """Write a result as one MCAP file.
 
     The bytes follow from the arguments and the installed versions alone: equal results are equal
     byte for byte. Messages stand in order of time, then topic; log_time and publish_time are the
@@ -51,10 +55,12 @@ def result_bytes(
 
     Parameters
     ----------
+    stream : binary file
+        Where to.
     log : Log
         What was recorded; every state is written as it was read.
     plans : sequence of WindowPlan
-        One a window, in order.
+        One a window, in order; gone through more than once, and never held all at once.
     certificates : sequence of Certificate
         The checks of the plans.
     summary : mapping
@@ -77,21 +83,36 @@ def result_bytes(
         If config_toml is not a configuration.
     """
     config = parse_config(config_toml)
-    stamped = _encoded(_all_messages(log, plans, certificates, config, findings, shown=shown))
     attached = _json(repeatable_summary(summary))
-    stream = io.BytesIO()
     writer = Writer(stream, compression=CompressionType.ZSTD, enable_crcs=True)
     writer.start(profile="", library="istc-replay")
     writer.add_metadata("istc.provenance", dict(sorted(provenance.items())))
-    _write_messages(writer, stamped)
-    start_ns = stamped[0][0]
+    start_ns = _write_messages(writer, _messages(log, plans, certificates, config, findings, shown=shown))
     writer.add_attachment(start_ns, start_ns, "config.toml", "application/toml", config_toml.encode())
     writer.add_attachment(start_ns, start_ns, "summary.json", "application/json", attached)
     writer.finish()
+
+
+def result_bytes(
+    log: Log,
+    plans: Sequence[WindowPlan],
+    certificates: Sequence[Certificate],
+    summary: Mapping[str, Any],
+    config_toml: str,
+    provenance: Mapping[str, str],
+    *,
+    findings: pl.DataFrame | None = None,
+    shown: bool = True,
+) -> bytes:
+    """The bytes of a result's file; arguments and errors as of `write_result`."""
+    stream = io.BytesIO()
+    write_result(
+        stream, log, plans, certificates, summary, config_toml, provenance, findings=findings, shown=shown
+    )
     return stream.getvalue()
 
 
-def solve_times(plans: Sequence[WindowPlan]) -> list[dict[str, Any]]:
+def solve_times(plans: Iterable[WindowPlan]) -> list[dict[str, Any]]:
     """List the wall-clock time of each row of the solves table, for `summary["solves"]`."""
     return [
         {
@@ -106,7 +127,7 @@ def solve_times(plans: Sequence[WindowPlan]) -> list[dict[str, Any]]:
     ]
 
 
-def _all_messages(
+def _messages(
     log: Log,
     plans: Sequence[WindowPlan],
     certificates: Sequence[Certificate],
@@ -115,50 +136,51 @@ def _all_messages(
     *,
     shown: bool,
 ) -> Iterator[Stamped]:
-    starts = {plan.scenario.window.index: plan.scenario.window.start_ns for plan in plans}
-    yield first_ns(log, plans), "/istc/static", scene_message(log.scene)
-    yield from recorded_messages(log.states)
-    for plan in plans:
-        yield from plan_messages(plan, config.corridors)
+    """All messages in their order in the file."""
+    windows = [plan.scenario.window for plan in plans]
+    starts_ns = {window.index: window.start_ns for window in windows}
     for certificate in certificates:
-        if certificate.window not in starts:
+        if certificate.window not in starts_ns:
             raise ExportError(f"certificate of window {certificate.window}: there is no plan of that window")
-        yield certificate_message(certificate, starts[certificate.window])
-    if findings is not None:
-        yield from finding_messages(findings)
-    if shown:
-        yield from foxglove_messages(log, plans, config.vehicles)
-        yield from log_messages(plans, certificates, findings)
-
-
-def _encoded(stamped: Iterator[Stamped]) -> list[tuple[int, str, Any, bytes]]:
-    # MCAP's times are unsigned; a log may count from an origin in its midst.
-    encoded = [
-        (max(time_ns, 0), topic, type(message), message.SerializeToString(deterministic=True))
-        for time_ns, topic, message in stamped
+    checks = [certificate_message(certificate, starts_ns[certificate.window]) for certificate in certificates]
+    planned = ((plan.scenario.window.start_ns, plan_messages(plan, config.corridors)) for plan in plans)
+    sources: list[Iterable[Stamped]] = [
+        [(first_ns(log, windows), "/istc/static", scene_message(log.scene))],
+        recorded_messages(log.states),
+        in_order(planned),
+        sorted(checks, key=place),
+        finding_messages(findings) if findings is not None else (),
     ]
-    # Python's sort is stable: messages of one topic and instant keep the order they were made in.
-    encoded.sort(key=lambda entry: entry[:2])
-    return encoded
+    if shown:
+        sources.append(foxglove_messages(log, plans, windows, config.vehicles))
+        sources.append(log_messages(plans, starts_ns, certificates, findings))
+    return merged(*sources)
 
 
-def _write_messages(writer: Writer, encoded: Sequence[tuple[int, str, Any, bytes]]) -> None:
-    topics = len({topic for _, topic, _, _ in encoded})
-    if topics > _TOPIC_LIMIT:
-        raise ExportError(
-            f"{topics} topics; an MCAP file has at most {_TOPIC_LIMIT}: cut the log into shorter spans"
-        )
+def _write_messages(writer: Writer, ordered: Iterator[Stamped]) -> int:
+    """Write messages in their order; returns the first one's time."""
     schemas: dict[str, int] = {}
     channels: dict[str, int] = {}
     counts: dict[str, int] = {}
-    for time_ns, topic, kind, data in encoded:
+    first_ns: int | None = None
+    for stamped in ordered:
+        time_ns, topic = place(stamped)
+        message = stamped[2]
         if topic not in channels:
-            name = kind.DESCRIPTOR.full_name
+            if len(channels) == _TOPIC_LIMIT:
+                raise ExportError(
+                    f"more than {_TOPIC_LIMIT} topics, which is what an MCAP file can have: "
+                    "cut the log into shorter spans"
+                )
+            name = message.DESCRIPTOR.full_name
             if name not in schemas:
-                schemas[name] = writer.register_schema(name, "protobuf", _schema(kind))
+                schemas[name] = writer.register_schema(name, "protobuf", _schema(type(message)))
             channels[topic] = writer.register_channel(topic, "protobuf", schemas[name])
+        first_ns = time_ns if first_ns is None else first_ns
         sequence = counts[topic] = counts.get(topic, 0) + 1
+        data = message.SerializeToString(deterministic=True)
         writer.add_message(channels[topic], time_ns, data, time_ns, sequence)
+    return first_ns or 0
 
 
 def _schema(kind: Any) -> bytes:
@@ -166,9 +188,12 @@ def _schema(kind: Any) -> bytes:
 
 
 def _json(values: Any) -> bytes:
+    text = io.StringIO()
     try:
-        return json.dumps(values, indent=1, allow_nan=False).encode()
+        # json.dumps would hold every word of it apart.
+        json.dump(values, text, indent=1, allow_nan=False)
     except (TypeError, ValueError) as error:
         raise ExportError(
             f"the summary cannot be written as JSON: {error}; give plain finite values"
         ) from None
+    return text.getvalue().encode()

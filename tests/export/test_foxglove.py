@@ -45,7 +45,7 @@ def shown(synthetic_bytes: bytes) -> Messages:
 
 
 def made(log: Log, plans: list[WindowPlan]) -> Messages:
-    return by_topic(foxglove_messages(log, plans, VehiclesConfig()))
+    return by_topic(foxglove_messages(log, plans, [plan.scenario.window for plan in plans], VehiclesConfig()))
 
 
 def ns(stamp: Any) -> int:

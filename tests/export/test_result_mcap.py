@@ -250,7 +250,9 @@ def test_more_topics_than_mcap_can_number_are_refused(
     synthetic_plan: Plan, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(result_mcap, "_TOPIC_LIMIT", 5)
-    with pytest.raises(ExportError, match="19 topics; an MCAP file has at most 5: cut the log"):
+    with pytest.raises(
+        ExportError, match="more than 5 topics, which is what an MCAP file can have: cut the log"
+    ):
         result_bytes(*synthetic_plan, [], {}, "", {})
 
 
