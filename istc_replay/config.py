@@ -127,7 +127,7 @@ class WindowConfig(Section):
     """Distance from one window's start to the next."""
     start: Literal["recording", "handed_over"] = "recording"
     """Where windows start: each from the recording, or where the plan of the one before has led (in turn)."""
-    minimum_presence_units: Count = 2
+    minimum_presence_units: Count = 1
     """A vehicle present for fewer whole units is not planned."""
     minimum_rate_hz: Positive = 4.0
     """A vehicle of traffic that is recorded more rarely is not planned."""

@@ -27,7 +27,7 @@ from istc_replay.geometry import box_corners, shift_along
 from istc_replay.guidance.build import recorded_guidance
 from istc_replay.guidance.path import Path
 from istc_replay.road_frame import heading_slack
-from istc_replay.tracks import swept_boxes
+from istc_replay.tracks import swept_boxes, tightest_radius_m
 from istc_replay.trajectories.repair import recorded_poses
 
 if TYPE_CHECKING:
@@ -179,6 +179,7 @@ def prepare(scenario: Scenario, config: Config, repairs: Repairs, speed_max_mps:
             detail = "no drivable motion was found near it"
         elif participant.approach is None and motion.deviation_m > config.guidance.deviation_max_m:
             detail = f"the nearest drivable motion is {motion.deviation_m:.2f} m away"
+            detail += _too_tight(participant, config.trajectories.steering_max_rad)
         elif participant.approach is None and _off_start_m(motion, participant) > _START_M:
             detail = "no drivable motion starts where it was recorded"
         if motion is None or detail:
@@ -194,6 +195,15 @@ def prepare(scenario: Scenario, config: Config, repairs: Repairs, speed_max_mps:
     scenario = replace(_without(scenario, dropped), excluded=(*scenario.excluded, *excluded))
     scenario = replace(scenario, participants=tuple(kept))
     return _narrowed(scenario, tuple(guidance), config, records)
+
+
+def _too_tight(participant: Participant, steering_max_rad: float) -> str:
+    """What to say of a recording that turns more tightly than a car of its size can."""
+    size, recorded_m = participant.dimensions, tightest_radius_m(participant.recording.poses)
+    able_m = float(np.hypot(size.wheelbase_m / np.tan(steering_max_rad), size.rear_axle_to_centre_m))
+    if recorded_m >= able_m:
+        return ""
+    return f": it turns with a radius of {recorded_m:.1f} m, where its steering allows {able_m:.1f} m"
 
 
 def back_to_recording(participant: Participant, at_s: FloatArray) -> FloatArray:
@@ -243,8 +253,7 @@ def _narrowed(
         apart = _apart(first, guidance[a], second, guidance[b], begin, end)
         if apart[0] < 0.0:
             for name, other in ((first, second), (second, first)):
-                detail = f"recorded {-apart[0]:.2f} m within {other.vehicle_id} where both are first there"
-                overlaps[name.vehicle_id] = ("overlap_at_start", detail)
+                overlaps[name.vehicle_id] = ("overlap_at_start", _overlap_text(name, other, -apart[0]))
             continue
         least = min(least, float(apart.min()))
         per_unit = (len(apart) - 1) // (end - begin)
@@ -258,6 +267,29 @@ def _narrowed(
     narrow = tuple(replace(g, slack_rad=read_only(s)) for g, s in zip(guidance, slack, strict=True))
     clear = _least_clearance(scenario, guidance)
     return Field(scenario, narrow, gap, _lowered(config.corridors.obstacle_gap_m, clear), records, overlaps)
+
+
+def _overlap_text(own: Participant, other: Participant, at_start_m: float) -> str:
+    """How a vehicle is recorded within another that it overlaps where both are first there."""
+    times = own.recording.times_s
+    last = min(times[-1], other.recording.times_s[-1])
+    at = times[(times >= max(times[0], other.recording.times_s[0])) & (times <= last)]
+    poses = [recorded_poses(participant, at) for participant in (own, other)]
+    corners = [
+        box_corners(
+            pose[:, 0],
+            pose[:, 1],
+            pose[:, 2],
+            participant.dimensions.length_m,
+            participant.dimensions.width_m,
+        )
+        for pose, participant in zip(poses, (own, other), strict=True)
+    ]
+    apart = _separation(corners[0], corners[1], [pose[:, 2] for pose in poses])
+    worst = int(np.argmin(apart))
+    if apart[worst] < 0.0:
+        return f"recorded {-apart[worst]:.2f} m within {other.vehicle_id} at {at[worst]:.2f} s"
+    return f"{at_start_m:.2f} m within {other.vehicle_id} where drivable motions near both recordings start"
 
 
 def _lowered(gap_m: float, recorded_m: float) -> float:

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
-import polars as pl
 
 from istc_replay.datatypes import (
     Dimensions,
@@ -110,8 +109,8 @@ class _Builder:
         start_ns, length_ns, index = part.span
         units = length_ns // seconds_to_ns(unit_s)
         end_ns = start_ns + units * seconds_to_ns(unit_s)
-        inside = part.states.filter(pl.col("time_ns").is_between(start_ns, end_ns))
-        present = {name: users[name] for name in sorted(inside["vehicle_id"].unique(), key=_natural)}
+        here = (name for name, user in users.items() if user.present(start_ns, end_ns))
+        present = {name: users[name] for name in sorted(here, key=_natural)}
         window = Window(index, start_ns, end_ns, unit_s, int(units), _local_frame(present.values()))
         builder = cls(part, config, window, present, handed)
         builder.sort()

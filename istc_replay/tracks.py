@@ -27,6 +27,8 @@ _POSE = ("x_m", "y_m", "heading_rad")
 _SIZES = ("length_m", "width_m", "wheelbase_m", "rear_axle_to_centre_m")
 #: Backing up faster than this is driving in reverse, which eq. (18) does not know.
 _REVERSING_MPS = -0.5
+#: A turn is measured over this much way [m].
+_TURN_OVER_M = 2.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,16 +62,29 @@ class RoadUser:
 
     `times_ns` (S,) increasing, `poses` (S, 3) x, y, unwrapped heading, and `speeds_mps` (S,) are of
     the states with position and heading; a speed is NaN where it is unknown. `missing` names a
-    column that no state has. `sizes` are the first that are told, by the name of the column.
+    column that no state has. `sizes` are the first that are told, by the name of the column. `seen_ns`
+    (M,) are the times of all its states.
     """
 
     vehicle_id: str
+    seen_ns: NDArray[np.int64]
     times_ns: NDArray[np.int64]
     poses: FloatArray
     speeds_mps: FloatArray
     missing: str
     role: str
     sizes: Mapping[str, float]
+
+    def present(self, start_ns: int, end_ns: int) -> bool:
+        """Whether it is seen within a span of time.
+
+        One that is seen there at the first or the last instant alone, and before or after it too, is of the
+        window before or of the next.
+        """
+        first, last = int(self.seen_ns.min()), int(self.seen_ns.max())
+        if (first < start_ns and last == start_ns) or (last > end_ns and first == end_ns):
+            return False
+        return bool(((self.seen_ns >= start_ns) & (self.seen_ns <= end_ns)).any())
 
     def in_frame(self, window: Window) -> tuple[FloatArray, FloatArray]:
         """Times (S,) [s from the window's start] and poses (S, 3) in the corridor frame."""
@@ -114,6 +129,7 @@ def _road_user(
     odd = any(role in ("pedestrian", "bicycle", "other") for role in roles)
     return RoadUser(
         vehicle_id=name,
+        seen_ns=times_ns[rows],
         times_ns=times,
         poses=poses,
         speeds_mps=columns["speed_mps"][rows][known][first],
@@ -192,6 +208,17 @@ def _fault(
         detail = f"its speed and its motion differ by {mismatch:.2f} m/s on average"
         return Exclusion(vehicle_id, "speed_mismatch", detail)
     return None
+
+
+def tightest_radius_m(poses: FloatArray) -> float:
+    """Least radius [m] at which recorded poses (S, 3) turn, over two metres of way; inf where they do not."""
+    way = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
+    if way[-1] < _TURN_OVER_M:
+        return math.inf
+    begin = np.append(way[way < way[-1] - _TURN_OVER_M], way[-1] - _TURN_OVER_M)
+    turned = np.interp(begin + _TURN_OVER_M, way, poses[:, 2]) - np.interp(begin, way, poses[:, 2])
+    most = float(np.abs(turned).max())
+    return _TURN_OVER_M / most if most > 0.0 else math.inf
 
 
 def swept_boxes(

@@ -21,10 +21,11 @@ if TYPE_CHECKING:
 #: has no conflict at them, the first that does.
 SCENE_UNIT_S, CROWDED_UNIT_S = 1.0, 0.5
 TRAFFIC_UNITS_S, CALM_UNITS_S = (0.5, 0.25, 0.125), (1.0, 0.5, 0.25)
-#: Limits and weights of layer 2 in traffic, where the configuration does not set them.
+#: Limits and weights of layer 2 in traffic, where the configuration does not set them: recorded cars do brake
+#: as hard as a dry road allows, and layer 1 asks for no more than its own limits or what was recorded.
 TRAFFIC_LIMITS = {
-    "acceleration_max_mps2": 3.5,
-    "deceleration_max_mps2": 6.0,
+    "acceleration_max_mps2": 5.0,
+    "deceleration_max_mps2": 8.0,
     "pivotal_x_weight": 20.0,
     "pivotal_y_weight": 20.0,
     "steering_rate_weight": 5.0,

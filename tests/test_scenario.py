@@ -119,7 +119,7 @@ def test_what_is_not_usable_is_named_and_left_out(changes: dict[str, Any], reaso
 
 def test_one_sample_a_short_stay_and_a_hole_are_named() -> None:
     single = track("2").head(1)
-    brief = track("3", 1.2, 2.9)
+    brief = track("3", 1.2, 1.9)
     holed = track("4").filter(~pl.col("time_ns").is_between(3 * 10**9, 5 * 10**9))
     scenario = only(log_of(track("1"), single, brief, holed))
     assert {e.vehicle_id: e.reason for e in scenario.excluded} == {

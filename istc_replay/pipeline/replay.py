@@ -10,7 +10,7 @@ import time
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cache
-from importlib import metadata
+from importlib import import_module, metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -324,8 +324,21 @@ def versions() -> dict[str, str]:
     return found
 
 
+#: Modules of which a replay needs all, and whose libraries take long to import.
+_METHOD = (
+    "coordinate",
+    "changes",
+    "export.result_mcap",
+    "export.summary",
+    "ingest.result",
+    "safety.certificate",
+)
+
+
 def import_method() -> None:
     """Import the heavy libraries at one place, so that their time shows as a stage of its own."""
+    for name in _METHOD:
+        import_module(f"istc_replay.{name}")
 
 
 def _cpu_s() -> float:
