@@ -106,6 +106,8 @@ class IngestConfig(Section):
     """Columns of a table that `convert` reads, by what they tell, such as x_m = "utm_east"."""
     topics: dict[str, TopicConfig] = Field(default={})
     """Per topic, what differs from the above."""
+    road_file: str | None = None
+    """GeoJSON with lanes and road edges in the log's metric frame, beside what the log tells of them."""
 
 
 class WindowConfig(Section):

@@ -90,11 +90,25 @@ class ChannelInfo:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LaneLine:
-    """A lane's centre line, shape (P, 2) [m, map frame]; `vehicle_id` says whose intent it is."""
+    """A lane's centre line (P, 2) in driving order [m, map frame]; `vehicle_id` says whose intent it is.
+
+    `left_m` (L, 2) and `right_m` (R, 2) are its edges in driving order: both, or None where they are
+    not known. What lies between the edges of all lanes is the road.
+    """
 
     lane_id: str
     points_m: FloatArray
     vehicle_id: str | None = None
+    left_m: FloatArray | None = None
+    right_m: FloatArray | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RoadEdge:
+    """What no vehicle drives across, a polyline (P, 2) [m, map frame]; an area's outline is closed."""
+
+    edge_id: str
+    points_m: FloatArray
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,12 +144,19 @@ class VehicleInfo:
 
 @dataclass(frozen=True, slots=True)
 class StaticScene:
-    """Lane lines, obstacles, bounds and per-vehicle facts of a log."""
+    """Lane lines, obstacles, bounds, per-vehicle facts and road edges of a log."""
 
     lane_lines: tuple[LaneLine, ...] = ()
     obstacles: tuple[SceneObstacle, ...] = ()
     bounds: MapBounds | None = None
     vehicles: tuple[VehicleInfo, ...] = ()
+    road_edges: tuple[RoadEdge, ...] = ()
+
+    @property
+    def edges_m(self) -> list[FloatArray]:
+        """All polylines (P, 2) that edge the road: those of its lanes, and what nobody drives across."""
+        sides = [side for line in self.lane_lines for side in (line.left_m, line.right_m)]
+        return [side for side in sides if side is not None] + [edge.points_m for edge in self.road_edges]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -156,6 +177,7 @@ class Log:
     scene: StaticScene
     problems: tuple[Problem, ...]
     time_source: str = "header"
+    road_sha256: str = ""  # of the road file beside it
 
 
 # --- a window's scenario ---------------------------------------------------------------------

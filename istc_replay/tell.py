@@ -101,6 +101,11 @@ def log_facts(log: Log) -> dict[str, Any]:
             for c in log.channels
         ],
         "vehicles": _vehicles(log.states),
+        "road": {
+            "lanes": len(log.scene.lane_lines),
+            "lanes_with_edges": sum(line.left_m is not None for line in log.scene.lane_lines),
+            "edges": len(log.scene.road_edges),
+        },
         "problems": [{"code": p.code, "detail": p.detail, "offset": p.offset} for p in log.problems],
     }
 
@@ -172,6 +177,12 @@ def info_lines(facts: Mapping[str, Any]) -> Iterator[str]:
         yield f"span: {span_s:.3f} s from {facts['start_ns']} ns; times of states: {facts['time_source']}"
     yield from _channel_lines(facts["channels"])
     yield from _vehicle_lines(facts["vehicles"])
+    road = facts["road"]
+    if road["lanes"] or road["edges"]:
+        yield (
+            f"road: {road['lanes']} lanes, {road['lanes_with_edges']} with both edges; "
+            f"{road['edges']} road edges"
+        )
     for problem in facts["problems"]:
         where = "" if problem["offset"] is None else f" at byte {problem['offset']}"
         yield f"problem: {line(problem['code'])}{where}: {line(problem['detail'])}"
@@ -236,9 +247,10 @@ def copied_lines(copied: Copied) -> Iterator[str]:
 def converted_lines(done: Converted) -> Iterator[str]:
     """Tell what was converted."""
     standing = f", {done.obstacles} standing obstacles" if done.obstacles else ""
+    lanes = f", {done.lanes} lanes" if done.lanes else ""
     yield (
         f"{line(done.path)}: {done.states} states of {done.vehicles} road users over {done.span_s:.3f} s"
-        f"{standing}, from {done.kind}"
+        f"{standing}{lanes}, from {done.kind}"
     )
     for note in done.notes:
         yield f"  {line(note)}"

@@ -75,7 +75,8 @@ def is_traffic(log: Log, config: WindowConfig) -> bool:
     if config.rules != "auto":
         return config.rules == "traffic"
     scene = log.scene
-    if scene.lane_lines or scene.obstacles or scene.vehicles or scene.bounds is not None:
+    intended = any(line.vehicle_id for line in scene.lane_lines)
+    if intended or scene.obstacles or scene.vehicles or scene.bounds is not None:
         return False
     speeds = log.states["speed_mps"].drop_nulls()
     speeds = speeds.filter(speeds.is_finite())

@@ -28,6 +28,7 @@ if TYPE_CHECKING:
     show_default=True,
     help="Windows planned at once; one where windows are handed over.",
 )
+@click.option("--road", type=FILE, help="Lanes and road edges beside the log (GeoJSON, docs/formats.md).")
 @click.option("--view", is_flag=True, help="Watch the windows in Rerun while they are solved.")
 @click.option("--connect", metavar="URL", help="Watch them in the Rerun viewer that runs there.")
 def run(
@@ -35,6 +36,7 @@ def run(
     config_path: Path | None,
     output: Path,
     jobs: int,
+    road: Path | None,
     view: bool,
     connect: str | None,
 ) -> int:
@@ -49,6 +51,9 @@ def run(
     from istc_replay.pipeline.replay import result_folders, run_log
 
     config = load_config(config_path)
+    if road is not None:
+        ingest = config.ingest.model_copy(update={"road_file": str(road)})
+        config = config.model_copy(update={"ingest": ingest})
     folders = result_folders(logs, output)
     live = _live_view(connect) if view or connect else None
     worst = 0

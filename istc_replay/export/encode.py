@@ -179,9 +179,16 @@ def scene_message(scene: StaticScene) -> Any:
     """Give the static scene as istc.v1.Scene."""
     message = messages.message("Scene")()
     for line in scene.lane_lines:
+        edges = {
+            side: _points(points)
+            for side, points in (("left", line.left_m), ("right", line.right_m))
+            if points is not None
+        }
         message.lane_lines.add(
-            lane_id=line.lane_id, points=_points(line.points_m), vehicle_id=line.vehicle_id or ""
+            lane_id=line.lane_id, points=_points(line.points_m), vehicle_id=line.vehicle_id or "", **edges
         )
+    for edge in scene.road_edges:
+        message.road_edges.add(edge_id=edge.edge_id, points=_points(edge.points_m))
     for obstacle in scene.obstacles:
         message.obstacles.add(**_fields(obstacle))
     if scene.bounds is not None:

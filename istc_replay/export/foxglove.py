@@ -31,7 +31,7 @@ from google.protobuf.timestamp_pb2 import Timestamp
 
 from istc_replay.config import VehiclesConfig
 from istc_replay.datatypes import FloatArray, Log, StaticScene, Window, WindowPlan
-from istc_replay.export.colours import LANE, OBSTACLE, Colour
+from istc_replay.export.colours import EDGE, LANE, OBSTACLE, Colour
 from istc_replay.export.encode import Stamped, in_order, merged
 from istc_replay.export.film import LAST_NS, Block, Film, Frame, Track, blocks, film
 from istc_replay.export.placing import first_ns, planned_motions, topic_name
@@ -141,7 +141,7 @@ def _paths(plans: Iterable[WindowPlan], made: Film) -> Iterator[Stamped]:
 
 def _scenes(frames: Iterator[Frame], count: int, scene: StaticScene, start_ns: int) -> Iterator[Stamped]:
     still = SceneUpdate(entities=_still_entities(scene, start_ns))
-    points = sum(len(line.points_m) for line in scene.lane_lines)
+    points = sum(len(line.points_m) for line in scene.lane_lines) + sum(map(len, scene.edges_m))
     repeated = points * count <= _LINE_POINTS_LIMIT
     yielded = False
     for time_ns, cars, boxes in frames:
@@ -212,7 +212,7 @@ def _box_entity(block: Block) -> SceneEntity:
 
 
 def _still_entities(scene: StaticScene, start_ns: int) -> list[SceneEntity]:
-    """What stands for the whole log: lane lines, obstacles and bounds, without a lifetime."""
+    """What stands for the whole log: lane lines, road, obstacles and bounds, without a lifetime."""
     stamp = timestamp(start_ns)
     entities = [
         SceneEntity(
@@ -220,6 +220,9 @@ def _still_entities(scene: StaticScene, start_ns: int) -> list[SceneEntity]:
         )
         for index, line in enumerate(scene.lane_lines)
     ]
+    if scene.edges_m:
+        lines = [_line(edge, closed=False, colour=EDGE) for edge in scene.edges_m]
+        entities.append(SceneEntity(timestamp=stamp, frame_id=MAP, id="road", lines=lines))
     for obstacle in scene.obstacles:
         cube = CubePrimitive(
             pose=_pose(obstacle.x_m, obstacle.y_m, obstacle.heading_rad, 0.5),
@@ -241,14 +244,14 @@ def _still_entities(scene: StaticScene, start_ns: int) -> list[SceneEntity]:
 # --- primitives ------------------------------------------------------------------------------
 
 
-def _line(points_m: FloatArray, closed: bool) -> LinePrimitive:
+def _line(points_m: FloatArray, closed: bool, colour: Colour = LANE) -> LinePrimitive:
     return LinePrimitive(
         type=LinePrimitive.LINE_LOOP if closed else LinePrimitive.LINE_STRIP,
         pose=_pose(0.0, 0.0, 0.0),
         thickness=2.0,
         scale_invariant=True,
         points=[Point3(x=x, y=y, z=0.0) for x, y in points_m.tolist()],
-        color=_colour(LANE, 0.8),
+        color=_colour(colour, 0.8),
     )
 
 

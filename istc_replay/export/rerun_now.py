@@ -15,7 +15,7 @@ import rerun as rr
 from rerun.chunk import Chunk
 
 from istc_replay.datatypes import FloatArray
-from istc_replay.export.colours import LANE, Colour
+from istc_replay.export.colours import EDGE, LANE, Colour
 from istc_replay.export.rerun_chunks import (
     CHUNK_BYTES,
     FOREVER_NS,
@@ -93,20 +93,22 @@ def _pointer(stage: Stage, times_ns: IntArray) -> list[Chunk]:
 
 
 def _map(stage: Stage) -> list[Chunk]:
-    """Lanes and bounds, once on the ground of space-time and once on the present plane."""
+    """Lanes, road edges and bounds, once on the ground of space-time and once on the present plane."""
     scene, origin = stage.result.scene, np.array(stage.origin_m)
     lines = [line.points_m for line in scene.lane_lines if len(line.points_m) >= 2]
     if scene.bounds is not None:
         x, y = (scene.bounds.x_min_m, scene.bounds.x_max_m), (scene.bounds.y_min_m, scene.bounds.y_max_m)
         lines.append(np.array([[x[i], y[j]] for i, j in ((0, 0), (1, 0), (1, 1), (0, 1), (0, 0))]))
-    style = rr.LineStrips3D.columns(colors=[LANE], radii=[ui_radius(1.0)])
+    edges = [edge for edge in scene.edges_m if len(edge) >= 2]
     chunks = []
-    for number, batch in enumerate(_batches([at_height(line - origin, _MAP_Z) for line in lines])):
-        strips = rr.LineStrips3D.columns(strips=batch).partition([len(batch)])
-        chunks += [
-            static(entity(root, "shared", "map", str(number)), strips, style)
-            for root in ("space_time", "now")
-        ]
+    for name, polylines, colour in (("map", lines, LANE), ("road", edges, EDGE)):
+        style = rr.LineStrips3D.columns(colors=[colour], radii=[ui_radius(1.0)])
+        for number, batch in enumerate(_batches([at_height(line - origin, _MAP_Z) for line in polylines])):
+            strips = rr.LineStrips3D.columns(strips=batch).partition([len(batch)])
+            chunks += [
+                static(entity(root, "shared", name, str(number)), strips, style)
+                for root in ("space_time", "now")
+            ]
     if scene.obstacles:
         boxes = np.array([(o.x_m, o.y_m, o.heading_rad, o.length_m, o.width_m) for o in scene.obstacles])
         corners = box_corners(*boxes.T)

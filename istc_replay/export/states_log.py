@@ -13,6 +13,7 @@ from mcap.writer import Writer
 
 from istc_replay import messages
 from istc_replay.datatypes import StaticScene
+from istc_replay.export.encode import scene_message
 from istc_replay.export.placing import topic_name
 
 _SIZE_FIELDS = ("length_m", "width_m", "wheelbase_m", "rear_axle_to_centre_m")
@@ -60,7 +61,7 @@ def write_states(
     ):
         time_ns = known["time_ns"]
         if last_ns is None and scene != StaticScene():
-            writer.add_message(scene_channel, time_ns, _encoded(_scene(scene)), time_ns)
+            writer.add_message(scene_channel, time_ns, _encoded(scene_message(scene)), time_ns)
         if time_ns != last_ns:
             instant, last_ns = instant + 1, time_ns
         state = state_type(**known, role="" if role in (None, "vehicle") else role)
@@ -72,22 +73,3 @@ def write_states(
 
 def _encoded(message: Any) -> bytes:
     return bytes(message.SerializeToString(deterministic=True))
-
-
-def _scene(scene: StaticScene) -> Any:
-    message = messages.message("Scene")()
-    for line in scene.lane_lines:
-        points = [{"x_m": x, "y_m": y} for x, y in line.points_m.tolist()]
-        message.lane_lines.add(lane_id=line.lane_id, vehicle_id=line.vehicle_id or "", points=points)
-    for obstacle in scene.obstacles:
-        message.obstacles.add(**_fields(obstacle))
-    if scene.bounds is not None:
-        message.bounds.CopyFrom(messages.message("MapBounds")(**_fields(scene.bounds)))
-    for vehicle in scene.vehicles:
-        size = None if vehicle.dimensions is None else _fields(vehicle.dimensions)
-        message.vehicles.add(vehicle_id=vehicle.vehicle_id, priority=vehicle.priority, dimensions=size)
-    return message
-
-
-def _fields(record: Any) -> dict[str, Any]:
-    return {name: getattr(record, name) for name in record.__slots__}

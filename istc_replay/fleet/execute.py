@@ -142,7 +142,9 @@ def _plan_part(log: Log, config: Config, windows: tuple[int, int], kept: Path) -
     from istc_replay.windows import settled_config
 
     toml = render_config(settled_config(log, config))
-    plan_windows(log, config, range(*windows), work=WorkFolder(kept, log.sha256, toml, versions()))
+    plan_windows(
+        log, config, range(*windows), work=WorkFolder(kept, log.sha256 + log.road_sha256, toml, versions())
+    )
 
 
 def _whole(job: Job, config: Config, log: Log, kept: Path, facts: dict[str, str]) -> dict[str, Any]:

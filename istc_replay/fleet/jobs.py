@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from istc_replay.config import Config
+from istc_replay.ingest.road_file import road_sha256
 from istc_replay.pipeline.replay import RUN_OUTPUTS, versions
 
 
@@ -83,8 +84,16 @@ class Outcome:
 
 
 def config_sha256(config: Config) -> str:
-    """Hash what a configuration sets; keys that are not set are left to the log."""
+    """Hash what a configuration sets, and the road file that it names; keys not set are left to the log.
+
+    Raises
+    ------
+    LogError
+        If the road file cannot be read.
+    """
     values = config.model_dump(mode="json", exclude_unset=True)
+    if config.ingest.road_file is not None:
+        values["road_sha256"] = road_sha256(Path(config.ingest.road_file))
     return hashlib.sha256(json.dumps(values, sort_keys=True).encode()).hexdigest()
 
 

@@ -1,4 +1,4 @@
-"""CommonRoad scenarios (XML, 2018b and 2020a): trajectories of obstacles, and standing obstacles."""
+"""CommonRoad scenarios (XML, 2018b and 2020a): trajectories of obstacles, standing obstacles, lanelets."""
 
 from __future__ import annotations
 
@@ -18,6 +18,7 @@ from istc_replay.ingest.foreign import (
     turned,
     vehicle_name,
 )
+from istc_replay.ingest.lanelets import Lanelets
 from istc_replay.ingest.problems import Problems, quoted
 from istc_replay.ingest.xml_stream import Progress, read_xml
 
@@ -55,12 +56,13 @@ class _Obstacle:
 
 
 class _Scenario:
-    """Takes in a scenario, an obstacle at a time."""
+    """Takes in a scenario, an obstacle or a lanelet at a time."""
 
     def __init__(self, problems: Problems) -> None:
         self.states = Gathered(problems)
         self.obstacles: list[SceneObstacle] = []
-        self.skipped = {"lanelet": 0, "planningProblem": 0}
+        self.lanelets = Lanelets(problems)
+        self.skipped = {"planningProblem": 0}
         self._problems = problems
         self._step_s = 0.0
         self._now: _Obstacle | None = None
@@ -78,6 +80,8 @@ class _Scenario:
                 raise LogError(f"line {line}: {error}; it is the length of a time step in s") from None
         elif len(path) == 2 and name in self.skipped:
             self.skipped[name] += 1
+        elif len(path) == 2 and name == "lanelet":
+            self.lanelets.start(attributes.get("id", ""), line)
         elif len(path) == 2 and name in _OBSTACLES:
             self._now = _Obstacle(attributes.get("id", ""), line, name == "staticObstacle")
         elif self._now is not None:
@@ -91,6 +95,8 @@ class _Scenario:
     def end(self, path: tuple[str, ...], text: str, line: int) -> None:
         now, name = self._now, path[-1]
         if now is None:
+            if len(path) > 1 and path[1] == "lanelet":
+                self.lanelets.end(path, text, line)
             return
         try:
             if len(path) == 2:
@@ -257,10 +263,13 @@ def read_commonroad(path: Path, progress: Progress) -> ForeignRecording:
         for name, count in scenario.skipped.items()
         if count
     ]
+    lanes = scenario.lanelets
+    if lanes.skipped:
+        notes.append(f"{lanes.skipped} lanelets on which no car drives: left out")
     return ForeignRecording(
         "CommonRoad",
         scenario.states.table(),
-        StaticScene(obstacles=tuple(scenario.obstacles)),
+        StaticScene(tuple(lanes.lanes.values()), tuple(scenario.obstacles)),
         problems.found(),
         not problems.lost,
         tuple(notes),

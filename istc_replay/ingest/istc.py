@@ -10,11 +10,22 @@ import numpy as np
 from google.protobuf.message import DecodeError
 
 from istc_replay.config import VehiclesConfig
-from istc_replay.datatypes import Dimensions, LaneLine, MapBounds, SceneObstacle, VehicleInfo, read_only
+from istc_replay.datatypes import (
+    Dimensions,
+    FloatArray,
+    LaneLine,
+    MapBounds,
+    RoadEdge,
+    SceneObstacle,
+    VehicleInfo,
+    read_only,
+)
 from istc_replay.ingest.payload import PayloadError
 from istc_replay.ingest.problems import Problems, quoted
 from istc_replay.ingest.scene import SceneParts
 from istc_replay.messages import message
+
+_LINE_RULE = "it needs at least two finite points"
 
 
 class SceneReader:
@@ -37,6 +48,8 @@ class SceneReader:
         scene = _parse(self._type, data)
         for line in scene.lane_lines:
             self._lane_line(line)
+        for edge in scene.road_edges:
+            self._road_edge(edge)
         for obstacle in scene.obstacles:
             self._obstacle(obstacle)
         for vehicle in scene.vehicles:
@@ -48,11 +61,24 @@ class SceneReader:
         self._problems.add("scene", f"{what} of the scene is left out: {rule}")
 
     def _lane_line(self, line: Any) -> None:
-        points = read_only([(point.x_m, point.y_m) for point in line.points], columns=2)
-        if len(points) < 2 or not np.isfinite(points).all():
-            self._refuse(f"lane line {quoted(line.lane_id)}", "it needs at least two finite points")
+        points = points_of(line.points)
+        if not is_line(points):
+            self._refuse(f"lane line {quoted(line.lane_id)}", _LINE_RULE)
             return
-        self._parts.lane_lines[line.lane_id] = LaneLine(line.lane_id, points, line.vehicle_id or None)
+        edges = [points_of(line.left), points_of(line.right)] if line.left or line.right else None
+        if edges is not None and not all(is_line(edge) for edge in edges):
+            self._refuse(f"edges of lane line {quoted(line.lane_id)}", f"of both sides, {_LINE_RULE}")
+            edges = None
+        self._parts.lane_lines[line.lane_id] = LaneLine(
+            line.lane_id, points, line.vehicle_id or None, *(edges or (None, None))
+        )
+
+    def _road_edge(self, edge: Any) -> None:
+        points = points_of(edge.points)
+        if not is_line(points):
+            self._refuse(f"road edge {quoted(edge.edge_id)}", _LINE_RULE)
+            return
+        self._parts.road_edges[edge.edge_id] = RoadEdge(edge.edge_id, points)
 
     def _obstacle(self, box: Any) -> None:
         numbers = (box.x_m, box.y_m, box.heading_rad, box.length_m, box.width_m)
@@ -77,6 +103,16 @@ class SceneReader:
         if vehicle.HasField("dimensions") and dimensions is None:
             self._refuse(f"size of vehicle {quoted(vehicle.vehicle_id)}", "it must be finite and above 0")
         self._parts.vehicles[vehicle.vehicle_id] = VehicleInfo(vehicle.vehicle_id, priority, dimensions)
+
+
+def points_of(points: Iterable[Any]) -> FloatArray:
+    """Points of a message as an array (P, 2) [m]."""
+    return read_only([(point.x_m, point.y_m) for point in points], columns=2)
+
+
+def is_line(points_m: FloatArray) -> bool:
+    """Whether points (P, 2) make a line: two at least, all finite."""
+    return len(points_m) >= 2 and bool(np.isfinite(points_m).all())
 
 
 def _parse(type_: Any, data: bytes) -> Any:

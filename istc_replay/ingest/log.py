@@ -9,13 +9,14 @@ import numpy as np
 import polars as pl
 
 from istc_replay.config import Config
-from istc_replay.datatypes import ChannelInfo, Log
+from istc_replay.datatypes import ChannelInfo, Log, StaticScene
 from istc_replay.ingest.channels import FORMATS, base_link_to_centre_m, reference_point, why_not
 from istc_replay.ingest.columns import Block
 from istc_replay.ingest.decoding import CHOSEN, Decoding
 from istc_replay.ingest.frames import TransformTree, check_frames, to_root
 from istc_replay.ingest.problems import Problems, quoted
 from istc_replay.ingest.records import Channel
+from istc_replay.ingest.road_file import read_road
 from istc_replay.ingest.table import (
     Columns,
     check_times,
@@ -72,12 +73,14 @@ class _Reading:
         self._problems = Problems()
         self._decoding = Decoding(file.size, config, self._problems)
         self._unused: set[str] = set()
+        self._road_sha256 = ""
 
     def log(self, path: str, progress: Callable[[int, int], None] | None) -> Log:
         file = self._file
         sha256 = file.sha256()
         states = self._table(self._decoding.blocks(file, progress))
         self._tell_of_channels()
+        scene = self._scene()
         found = file.problems + self._problems.found()
         return Log(
             path=path,
@@ -91,10 +94,18 @@ class _Reading:
             end_ns=file.end_ns,
             channels=tuple(sorted(map(self._info, file.counts), key=lambda info: info.topic)),
             states=states,
-            scene=self._decoding.parts.scene(),
+            scene=scene,
             problems=found,
             time_source=self._config.ingest.time_source,
+            road_sha256=self._road_sha256,
         )
+
+    def _scene(self) -> StaticScene:
+        """What the log tells of the scene, and the road of a file beside it."""
+        parts, road = self._decoding.parts, self._config.ingest.road_file
+        if road is not None:
+            self._road_sha256 = read_road(Path(road), parts)
+        return parts.scene()
 
     def _table(self, blocks: list[Block]) -> pl.DataFrame:
         names, problems = self._decoding.names, self._problems

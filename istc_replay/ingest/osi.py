@@ -42,7 +42,7 @@ _OTHER_VEHICLES = {
     "TYPE_STANDUP_SCOOTER",
 }
 #: What reading fields that a foreign descriptor declares otherwise can raise.
-_FOREIGN = (AttributeError, KeyError, TypeError, ValueError, OverflowError)
+FOREIGN = (AttributeError, KeyError, TypeError, ValueError, OverflowError)
 
 
 def message_type(schema: Schema) -> Any:
@@ -66,7 +66,7 @@ def message_type(schema: Schema) -> Any:
             for file in ready:
                 pool.Add(files.pop(file.name))
         return message_factory.GetMessageClass(pool.FindMessageTypeByName(schema.name))
-    except (DecodeError, *_FOREIGN) as error:
+    except (DecodeError, *FOREIGN) as error:
         if isinstance(error, PayloadError):
             raise
         reason = " ".join(str(error).split())[:200]
@@ -100,7 +100,7 @@ class StandingObjects:
             self._met.add(digest)
             try:
                 self._stationary(self._type.FromString(raw))
-            except (DecodeError, *_FOREIGN) as error:
+            except (DecodeError, *FOREIGN) as error:
                 reason = " ".join(str(error).split())[:200]
                 self._problems.add("scene", f"a stationary object is left out: {reason}")
 
@@ -111,7 +111,7 @@ class StandingObjects:
         base = standing.base
         numbers = (base.position.x, base.position.y, base.orientation.yaw)
         size = (base.dimension.length, base.dimension.width)
-        if _enum_name(standing.classification, "type") in _NOT_IN_THE_WAY:
+        if enum_name(standing.classification, "type") in _NOT_IN_THE_WAY:
             return
         if not all(map(math.isfinite, (*numbers, *size))) or min(size) <= 0.0:
             detail = (
@@ -159,7 +159,8 @@ def _role(kind: str, vehicle: str) -> str:
     return "bicycle" if vehicle == "TYPE_BICYCLE" else "vehicle"
 
 
-def _enum_name(source: Any, name: str) -> str:
+def enum_name(source: Any, name: str) -> str:
+    """Name of the value of an enumeration's field; empty where its number is unknown."""
     values = source.DESCRIPTOR.fields_by_name[name].enum_type.values_by_number
     number = getattr(source, name)
     return values[number].name if number in values else ""

@@ -65,7 +65,7 @@ class ProtobufDecoder:
         self._budget = budget
         self._mapping = mapping
         self._zero = mapping.absent_is_zero
-        self._watched: tuple[int, Callable[[Bytes, Spans], None]] | None = None
+        self._watched: dict[int, Callable[[Bytes, Spans], None]] = {}
         self.kinds: dict[str, str] = {}
         root = tree(mapping)
         self._way: list[int] = []
@@ -160,7 +160,7 @@ class ProtobufDecoder:
         for part in self._mapping.items.split(".")[:-1]:
             descriptor = descriptor.fields_by_name[part].message_type
         if name in descriptor.fields_by_name:
-            self._watched = (descriptor.fields_by_name[name].number, take_in)
+            self._watched[descriptor.fields_by_name[name].number] = take_in
 
     def _plain(self, payload: bytes) -> tuple[Bytes, Ints, Ints]:
         name = self._type.DESCRIPTOR.full_name
@@ -180,11 +180,10 @@ class ProtobufDecoder:
         spans = Spans(np.arange(len(starts)), starts, starts, ends)
         for depth, number in enumerate(self._way):
             wanted = self._header.get(depth, {})
-            watched = self._watched if depth == len(self._way) - 1 else None
-            numbers = {number, *wanted, *([watched[0]] if watched else [])}
-            found, broken = scan(data, spans, numbers, self._budget)
-            if watched:
-                watched[1](data, found[watched[0]])
+            watched = self._watched if depth == len(self._way) - 1 else {}
+            found, broken = scan(data, spans, {number, *wanted, *watched}, self._budget)
+            for other, take_in in watched.items():
+                take_in(data, found[other])
             for row in broken.tolist():
                 # So long a one may have too many fields for the reference library as well.
                 kind = TooMuchError if ends[row] - starts[row] > 2 * FIELDS_LIMIT else PayloadError

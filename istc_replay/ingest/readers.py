@@ -16,6 +16,7 @@ from istc_replay.ingest.layout import Column, Decoded, take
 from istc_replay.ingest.meaning import ROLES, Meaning, Names, number, whole
 from istc_replay.ingest.odometry import DEFINITION
 from istc_replay.ingest.osi import StandingObjects, message_type, roles_by_number
+from istc_replay.ingest.osi_lanes import Lanes
 from istc_replay.ingest.payload import Budget, PayloadError
 from istc_replay.ingest.places import LocalFrame
 from istc_replay.ingest.problems import Problems
@@ -85,6 +86,8 @@ class Readers:
             if format_.family == "osi":
                 meaning.zero_is_unset, meaning.roles = _SIZES, roles_by_number(type_, format_.mapping.items)
                 decoder.watch("stationary_object", StandingObjects(type_, self._parts, self._problems).read)
+                for name, take_in in Lanes(type_, self._parts, self._problems).watched().items():
+                    decoder.watch(name, take_in)
                 return Reader(decoder, meaning, _osi)
             if format_.family == "scene_update":
                 meaning.zero_is_unset = _SIZES

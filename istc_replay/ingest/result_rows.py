@@ -14,11 +14,12 @@ from istc_replay.datatypes import (
     Dimensions,
     LaneLine,
     MapBounds,
+    RoadEdge,
     SceneObstacle,
     StaticScene,
     VehicleInfo,
-    read_only,
 )
+from istc_replay.ingest.istc import points_of
 from istc_replay.ingest.problems import quoted
 from istc_replay.ingest.records import Channel, Message
 
@@ -150,10 +151,15 @@ def _collect_finding(rows: ResultRows, f: Any, _: str) -> None:
 def _collect_scene(rows: ResultRows, scene: Any, _: str) -> None:
     lines = [
         LaneLine(
-            line.lane_id, read_only([(p.x_m, p.y_m) for p in line.points], columns=2), line.vehicle_id or None
+            line.lane_id,
+            points_of(line.points),
+            line.vehicle_id or None,
+            points_of(line.left) if line.left else None,
+            points_of(line.right) if line.right else None,
         )
         for line in scene.lane_lines
     ]
+    edges = [RoadEdge(edge.edge_id, points_of(edge.points)) for edge in scene.road_edges]
     obstacles = [
         SceneObstacle(**{name: getattr(o, name) for name in SceneObstacle.__slots__}) for o in scene.obstacles
     ]
@@ -164,7 +170,7 @@ def _collect_scene(rows: ResultRows, scene: Any, _: str) -> None:
         VehicleInfo(v.vehicle_id, _known(v, "priority"), _dimensions(_known(v, "dimensions")))
         for v in scene.vehicles
     ]
-    rows.scenes.append(StaticScene(tuple(lines), tuple(obstacles), bounds, tuple(vehicles)))
+    rows.scenes.append(StaticScene(tuple(lines), tuple(obstacles), bounds, tuple(vehicles), tuple(edges)))
 
 
 def _dimensions(box: Any) -> Dimensions | None:

@@ -29,6 +29,7 @@ class Converted:
     states: int
     vehicles: int
     obstacles: int
+    lanes: int
     span_s: float
     complete: bool
     problems: tuple[Problem, ...]
@@ -71,6 +72,7 @@ def convert_recording(
         found.states.height,
         found.states["vehicle_id"].n_unique(),
         len(found.scene.obstacles),
+        len(found.scene.lane_lines),
         (times[-1] - times[0]) / NS_PER_S,
         found.complete,
         found.problems,

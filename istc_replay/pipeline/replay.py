@@ -144,7 +144,7 @@ def replay_read(
     settled = settled_config(log, config)
     if output is not None:
         toml = render_config(settled)
-        work = WorkFolder(output, log.sha256, toml, versions())
+        work = WorkFolder(output, log.sha256 + log.road_sha256, toml, versions())
 
     def seen(outcome: WindowOutcome) -> None:
         if live is not None:
@@ -187,6 +187,8 @@ def assemble(
     toml = render_config(settled_config(log, config))
     config_sha256 = hashlib.sha256(toml.encode()).hexdigest()
     provenance = {**versions(), "input_sha256": log.sha256, "config_sha256": config_sha256}
+    if log.road_sha256:
+        provenance["road_sha256"] = log.road_sha256
     plans = [outcome.plan for outcome in outcomes]
     certificates = [certificate for outcome in outcomes for certificate in outcome.certificates]
     for plan in plans:

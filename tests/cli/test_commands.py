@@ -141,7 +141,7 @@ def test_info_tells_what_a_log_holds(call: Command) -> None:
     facts = json.loads(call("info", TURN_FIRST, "--json").stdout)
     assert set(facts) == {
         "path", "complete", "messages", "attachments", "metadata", "chunks", "start_ns", "end_ns",
-        "time_source", "channels", "vehicles", "problems",
+        "time_source", "channels", "vehicles", "road", "problems",
     }  # fmt: skip
     assert [v["id"] for v in facts["vehicles"]] == ["1", "2", "3"]
     assert {v["states"] for v in facts["vehicles"]} == {101}

@@ -28,6 +28,7 @@ from istc_replay.datatypes import (
     MapBounds,
     Obstacle,
     Result,
+    RoadEdge,
     Scenario,
     SceneObstacle,
     SolveStatus,
@@ -222,11 +223,17 @@ def test_solves_come_back_without_their_times(synthetic_result: Result, syntheti
 
 def test_the_scene_comes_back(synthetic_plan: Plan) -> None:
     log = synthetic_plan[0]
+    left, middle, right = (read_only([[0.0, y], [9.0, y], [20.0, y + 1.0]]) for y in (2.0, 0.0, -2.0))
     scene = StaticScene(
-        (*log.scene.lane_lines, LaneLine("empty", read_only([], 2))),
+        (
+            *log.scene.lane_lines,
+            LaneLine("empty", read_only([], 2)),
+            LaneLine("a", middle, None, left, right),
+        ),
         (SceneObstacle("o", 1.0, 2.0, 0.5, 3.0, 4.0),),
         MapBounds(-1.0, 1.0, -2.0, 2.0),
         (*log.scene.vehicles, VehicleInfo("silent")),
+        (RoadEdge("kerb", right),),
     )
     read = read_result(write(dataclasses.replace(log, scene=scene))).scene
     assert (read.obstacles, read.bounds, read.vehicles) == (scene.obstacles, scene.bounds, scene.vehicles)
@@ -236,6 +243,8 @@ def test_the_scene_comes_back(synthetic_plan: Plan) -> None:
             two.vehicle_id,
             two.points_m.tolist(),
         )
+    assert [edge.tolist() for edge in read.edges_m] == [edge.tolist() for edge in (left, right, right)]
+    assert read.road_edges[0].edge_id == "kerb"
 
 
 def test_guidance_comes_back_in_the_map_frame(synthetic_result: Result) -> None:

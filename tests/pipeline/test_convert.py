@@ -147,8 +147,49 @@ def test_a_scenario_is_read_as_commonroad_io_reads_it(convert: Convert, tmp_path
     (standing,) = read_log(tmp_path / "out.mcap").scene.obstacles
     assert (standing.obstacle_id, standing.x_m, standing.y_m, standing.heading_rad) == ("201", 20.0, 6.0, 0.3)
     assert done.complete
-    assert any("1 lanelet" in note for note in done.notes)
+    assert done.lanes == 1
     assert any("1 planningProblem" in note for note in done.notes)
+
+
+def test_lanelets_become_lanes_with_their_edges(convert: Convert, tmp_path: Path) -> None:
+    # The two roads of another reader: Python's own XML tree.
+    def lanelet(
+        number: int, left: list[tuple[float, float]], right: list[tuple[float, float]], kind: str
+    ) -> str:
+        sides = "".join(
+            f"<{name}>{''.join(f'<point><x>{x}</x><y>{y}</y></point>' for x, y in side)}</{name}>"
+            for name, side in (("leftBound", left), ("rightBound", right))
+        )
+        stop = "<stopLine><point><x>1</x><y>1</y></point></stopLine>"
+        return f'<lanelet id="{number}">{sides}{stop}<laneletType>{kind}</laneletType></lanelet>'
+
+    bend = [(4.0 * np.cos(a) + 500000.25, 4.0 * np.sin(a) - 7e6) for a in np.linspace(0.0, 1.0, 6)]
+    wide = [(7.5 * np.cos(a) + 500000.25, 7.5 * np.sin(a) - 7e6) for a in np.linspace(0.0, 1.0, 6)]
+    lanes = [
+        lanelet(11, bend, wide, "urban"),
+        lanelet(12, [(0.0, 3.0), (50.0, 3.0)], [(0.0, 0.0), (20.0, 0.0), (50.0, 1.0)], "highway"),
+        lanelet(13, [(0.0, 9.0), (50.0, 9.0)], [(0.0, 8.0), (50.0, 8.0)], "sidewalk"),
+        lanelet(14, [(0.0, 9.0)], [(0.0, 8.0), (50.0, 8.0)], "urban"),
+        lanelet(15, [(0.0, float("nan")), (1.0, 0.0)], [(0.0, 8.0), (50.0, 8.0)], "urban"),
+    ]
+    text = (DATA / "commonroad_merge.xml").read_text()
+    text = text.replace("<staticObstacle", "\n".join(lanes) + "<staticObstacle", 1)
+    done, _ = convert("roads.xml", text)
+    found = {line.lane_id: line for line in read_log(tmp_path / "out.mcap").scene.lane_lines}
+    told = {each.get("id"): each for each in ET.fromstring(text).iter("lanelet")}  # noqa: S314
+    assert found.keys() == {"1", "11", "12"} < told.keys()
+    for name, line in found.items():
+        for side, points in (("leftBound", line.left_m), ("rightBound", line.right_m)):
+            places = told[name].findall(f"{side}/point")
+            raw = [(float(p.findtext("x", "")), float(p.findtext("y", ""))) for p in places]
+            np.testing.assert_array_equal(points, raw)
+    middle = (np.array(bend) + np.array(wide)) / 2.0
+    np.testing.assert_allclose(found["11"].points_m, middle, rtol=0.0, atol=1e-9)
+    np.testing.assert_allclose(found["12"].points_m[[0, -1]], [[0.0, 1.5], [50.0, 2.0]], atol=1e-9)
+    assert any("1 lanelets on which no car drives" in note for note in done.notes)
+    damaged = [p.detail for p in done.problems if p.code == "bad_value"]
+    assert [name in detail for name, detail in zip(("'14'", "'15'"), damaged, strict=True)] == [True, True]
+    assert not done.complete
 
 
 OBSTACLE = """<commonRoad timeStepSize="0.5">{head}<{kind} id="7">{role}<type>car</type>

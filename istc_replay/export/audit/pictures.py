@@ -185,6 +185,8 @@ def _draw_above(
 def _draw_ground(axes: Axes, recording: Recording, middle: FloatArray, reach: float) -> None:
     scene = recording.audit.log.scene
     lines = [line.points_m - middle for line in scene.lane_lines if line.points_m.shape[0] > 1]
+    edges = [edge - middle for edge in scene.edges_m if (np.abs(edge - middle) < 4.0 * reach).any()]
+    axes.add_collection(LineCollection(edges, colors=MUTED, linewidths=0.7, zorder=0), autolim=False)
     near = [line for line in lines if (np.abs(line) < 4.0 * reach).any()]
     axes.add_collection(LineCollection(near, colors=GRID, linewidths=1.0, zorder=0), autolim=False)
     standing = [

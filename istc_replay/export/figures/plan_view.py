@@ -115,6 +115,8 @@ def set_view(axes: Axes, view: View) -> None:
 def draw_ground(axes: Axes, scene: WindowScene) -> None:
     if len(scene.lanes_m):
         axes.plot(*scene.lanes_m.T, color=GRID, linewidth=3.0, zorder=0.6)
+    if len(scene.edges_m):
+        axes.plot(*scene.edges_m.T, color=MUTED, linewidth=0.7, zorder=0.65)
     if len(scene.standing_m):
         axes.add_collection(
             PolyCollection(

@@ -86,8 +86,8 @@ class WindowScene:
     """All that the pictures of one window show, in the map frame moved by `origin_m`.
 
     `names` are what the two motions of each vehicle are called: `recorded` and `planned` hold them.
-    `lanes_m` (P, 2) has a NaN row after each lane line; `standing_m` (O, 4, 2) are the true
-    outlines of standing obstacles.
+    `lanes_m` and `edges_m` (P, 2) have a NaN row after each lane line and road edge; `standing_m`
+    (O, 4, 2) are the true outlines of standing obstacles.
     """
 
     window: dict[str, Any]
@@ -102,6 +102,7 @@ class WindowScene:
     corridors: dict[str, CorridorShape]
     obstacles: tuple[CorridorShape, ...]
     lanes_m: FloatArray
+    edges_m: FloatArray
     standing_m: FloatArray
     config: Config
     names: tuple[str, str] = ("recorded", "planned")
@@ -175,7 +176,8 @@ def window_scene(result: Result, window: int, origin_m: tuple[float, float] | No
         guidance=tracks["guidance"] if has_plan else {},
         corridors=_corridors(result.corridors, window, start_ns, origin_m) if has_plan else {},
         obstacles=_obstacles(result.obstacles, window, start_ns, origin_m),
-        lanes_m=_lanes(result, origin_m),
+        lanes_m=_in_a_row([line.points_m for line in result.scene.lane_lines], origin_m),
+        edges_m=_in_a_row(result.scene.edges_m, origin_m),
         standing_m=_standing(result, origin_m),
         config=config,
     )
@@ -282,10 +284,10 @@ def _outlines(rows: pl.DataFrame, frame: Frame) -> FloatArray:
     return to_map(corners, frame)
 
 
-def _lanes(result: Result, origin_m: tuple[float, float]) -> FloatArray:
-    """All lane lines as one (P, 2) array, with a NaN row after each."""
+def _in_a_row(lines: list[FloatArray], origin_m: tuple[float, float]) -> FloatArray:
+    """All lines as one (P, 2) array, with a NaN row after each."""
     gap = np.full((1, 2), np.nan)
-    parts = [part for lane in result.scene.lane_lines for part in (lane.points_m - origin_m, gap)]
+    parts = [part for line in lines for part in (line - origin_m, gap)]
     return np.vstack(parts) if parts else np.empty((0, 2))
 
 
