@@ -5,7 +5,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import Any, BinaryIO
+from typing import Any, BinaryIO, cast
 
 import polars as pl
 from mcap.writer import CompressionType, Writer
@@ -28,6 +28,7 @@ from istc_replay.export.encode import (
 )
 from istc_replay.export.foxglove import foxglove_messages
 from istc_replay.export.foxglove_log import log_messages
+from istc_replay.export.hashed import HashedFile
 from istc_replay.export.placing import first_ns
 from istc_replay.ingest.result import repeatable_summary
 
@@ -36,7 +37,7 @@ _TOPIC_LIMIT = 2**16 - 1
 
 
 def write_result(
-    stream: BinaryIO,
+    stream: BinaryIO | HashedFile,
     log: Log,
     plans: Sequence[WindowPlan],
     certificates: Sequence[Certificate],
@@ -84,7 +85,8 @@ def write_result(
     """
     config = parse_config(config_toml)
     attached = _json(repeatable_summary(summary))
-    writer = Writer(stream, compression=CompressionType.ZSTD, enable_crcs=True)
+    # What it asks of a file is to write, to tell and to flush.
+    writer = Writer(cast(BinaryIO, stream), compression=CompressionType.ZSTD, enable_crcs=True)
     writer.start(profile="", library="istc-replay")
     writer.add_metadata("istc.provenance", dict(sorted(provenance.items())))
     start_ns = _write_messages(writer, _messages(log, plans, certificates, config, findings, shown=shown))
@@ -112,8 +114,8 @@ def result_bytes(
     return stream.getvalue()
 
 
-def solve_times(plans: Iterable[WindowPlan]) -> list[dict[str, Any]]:
-    """List the wall-clock time of each row of the solves table, for `summary["solves"]`."""
+def solve_times(plan: WindowPlan) -> list[dict[str, Any]]:
+    """List the wall-clock time of each row of a window in the solves table, for `summary["solves"]`."""
     return [
         {
             "window": plan.scenario.window.index,
@@ -122,7 +124,6 @@ def solve_times(plans: Iterable[WindowPlan]) -> list[dict[str, Any]]:
             "stage": record.stage,
             "wall_s": record.wall_s,
         }
-        for plan in plans
         for record in solve_records(plan)
     ]
 

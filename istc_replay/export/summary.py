@@ -40,28 +40,21 @@ ARRIVED_M = 1.0
 
 
 def summarise(
-    log: Log,
-    outcomes: Sequence[WindowOutcome],
-    versions: Mapping[str, str],
-    config_sha256: str,
-    audit: Audit | str | None = None,
+    log: Log, windows: list[dict[str, Any]], versions: Mapping[str, str], config_sha256: str
 ) -> dict[str, Any]:
-    """Sum up a replay; wall-clock figures of the whole run are added by the caller.
+    """Sum up a replay; wall-clock figures of the whole run and the audit are added by the caller.
 
     Parameters
     ----------
     log : Log
         The input.
-    outcomes : sequence of WindowOutcome
-        One a window.
+    windows : list of dict
+        The figures of each (`window_figures`).
     versions : mapping
         Version by component.
     config_sha256 : str
         Hash of the configuration in force.
-    audit : Audit or str, optional
-        That of what the log recorded, or why there is none.
     """
-    windows = [_window(outcome) for outcome in outcomes]
     return {
         "schema": SUMMARY_SCHEMA,
         "input": {
@@ -74,12 +67,12 @@ def summarise(
         "config_sha256": config_sha256,
         "windows": windows,
         "totals": _totals(log, windows),
-        "audit": None if audit is None else _audited(audit),
+        "audit": None,
     }
 
 
-def _audited(audit: Audit | str) -> dict[str, Any]:
-    """What the audit of the recording found; all of it is the topic /istc/findings."""
+def audited(audit: Audit | str) -> dict[str, Any]:
+    """What the audit of the recording found, or why there is none; all of it is the topic /istc/findings."""
     if isinstance(audit, str):
         return {"verdict": str(Verdict.INCONCLUSIVE), "reason": audit}
     severe = worst_first(audit.findings.filter(pl.col("severity").is_not_null()))
@@ -117,7 +110,8 @@ def _totals(log: Log, windows: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     }
 
 
-def _window(outcome: WindowOutcome) -> dict[str, Any]:
+def window_figures(outcome: WindowOutcome) -> dict[str, Any]:
+    """The figures of one window."""
     plan, certificates = outcome.plan, outcome.certificates
     scenario, window, corridors = plan.scenario, plan.scenario.window, plan.corridors
     certified = plan.status in (WindowStatus.CERTIFIED, WindowStatus.PARTIAL)

@@ -149,11 +149,11 @@ def _plan_part(log: Log, config: Config, windows: tuple[int, int], kept: Path) -
 
 def _whole(job: Job, config: Config, log: Log, kept: Path, facts: dict[str, str]) -> dict[str, Any]:
     from istc_replay.fleet.inputs import file_name
-    from istc_replay.pipeline.replay import replay_read, write_run
+    from istc_replay.pipeline.replay import RESULT, replay_read, write_run
 
     fleet = Path(job.fleet)
     with job_folder(fleet, job.name) as folder:
-        done = replay_read(log, config, output=kept)
+        done = replay_read(log, config, output=kept, file=folder / RESULT)
         done.summary["input"]["path"] = job.location  # not that of a copy
         write_run(done, folder, config, file_name(job.location), products=job.products)
         _write_tables(done, folder)
@@ -182,7 +182,7 @@ def _check(done: Replay, folder: Path, products: tuple[str, ...]) -> None:
     """See that what is on the disk is what was to be written."""
     import polars as pl
 
-    if (folder / "result.mcap").read_bytes() != done.mcap:
+    if sha256_of(folder / "result.mcap") != done.sha256:
         raise ExportError(f"{folder / 'result.mcap'}: is not what was written; check the disk")
     for product in products:
         if not (folder / product).stat().st_size:

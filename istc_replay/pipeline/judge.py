@@ -46,7 +46,7 @@ def _certified(
 
     from istc_replay.config import render_config
     from istc_replay.export.result_mcap import result_bytes
-    from istc_replay.export.summary import summarise
+    from istc_replay.export.summary import summarise, window_figures
     from istc_replay.ingest.result import read_result
     from istc_replay.safety.against_plan import against_plan
     from istc_replay.safety.certificate import certify
@@ -55,7 +55,7 @@ def _certified(
     log = Log("", "", True, 0, 0, 0, 0, None, None, (), part.states.clear(), part.scene, ())
     hoped = replace(plan, status=WindowStatus.CERTIFIED)
     plans = [hoped] if before is None else [before, hoped]
-    summary = summarise(log, [WindowOutcome(each) for each in plans], {}, "")
+    summary = summarise(log, [window_figures(WindowOutcome(each)) for each in plans], {}, "")
     written = result_bytes(log, plans, (), summary, render_config(config), {}, shown=False)
     result = read_result(written)
     draft = replace(result, states=pl.concat([_recorded_rows(plan, part, result), result.states]))

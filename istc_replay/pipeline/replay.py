@@ -3,32 +3,36 @@
 from __future__ import annotations
 
 import hashlib
+import io
 import json
 import os
 import platform
 import time
 from contextlib import contextmanager
-from dataclasses import dataclass, field
-from functools import cache
+from dataclasses import dataclass, field, replace
+from functools import cache, cached_property
 from importlib import import_module, metadata
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from istc_replay.config import Config, render_config
-from istc_replay.datatypes import WindowStatus
+from istc_replay.datatypes import Certificate, WindowStatus
 from istc_replay.errors import ExportError, LogError, UsageError
+from istc_replay.pipeline.outcomes import Plans
 from istc_replay.pipeline.windows import plan_windows, silent
-from istc_replay.pipeline.work_folder import WorkFolder
+from istc_replay.pipeline.work_folder import WorkFolder, clear_work
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator, Sequence
+    from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 
     from istc_replay.datatypes import Log, Result, WindowOutcome
+    from istc_replay.export.hashed import HashedFile
     from istc_replay.pipeline.live import LiveView
     from istc_replay.safety.log_audit import Audit
 
 #: What `run_log` writes beside result.mcap and summary.json.
 RUN_OUTPUTS = ("view.rrd", "report.html")
+RESULT = "result.mcap"
 _COMPONENTS = ("istc-replay", "casadi", "cbcbox", "daqp", "mcap", "numpy", "polars", "pyomo", "rerun-sdk")
 
 
@@ -48,17 +52,30 @@ class Stages:
             self.seconds[name] = self.seconds.get(name, 0.0) + time.perf_counter() - began
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True, eq=False)
 class Replay:
-    """A finished replay: the result as its file tells it, the file's bytes, the summary and the audit.
+    """A finished replay: its summary, the result's file (or its bytes) and their hash, and the audit.
 
-    Without an `audit`, the summary says why there is none.
+    Without an `audit`, the summary says why there is none; it is not kept of a replay that is
+    written to a folder at once.
     """
 
-    result: Result
-    mcap: bytes
     summary: dict[str, Any]
+    source: Path | bytes
+    sha256: str
     audit: Audit | None = None
+
+    @cached_property
+    def mcap(self) -> bytes:
+        """The bytes of result.mcap."""
+        return self.source if isinstance(self.source, bytes) else self.source.read_bytes()
+
+    @cached_property
+    def result(self) -> Result:
+        """The result as its file tells it."""
+        from istc_replay.ingest.result import read_result
+
+        return read_result(self.source)
 
     @property
     def exit_code(self) -> int:
@@ -80,8 +97,9 @@ def replay_log(
     reading: Callable[[int, int], None] | None = None,
     stages: Stages | None = None,
     live: LiveView | None = None,
+    file: Path | None = None,
 ) -> Replay:
-    """Replay one log, in memory.
+    """Replay one log.
 
     Parameters
     ----------
@@ -92,7 +110,7 @@ def replay_log(
     jobs : int
         Parallel processes; the result is the same for any number.
     output : Path, optional
-        A folder in which finished windows are kept until the run is done.
+        A folder in which finished windows are kept; `work_folder.clear_work` removes them.
     progress : callable
         Told what is being done, the windows done and their number.
     reading : callable, optional
@@ -101,6 +119,8 @@ def replay_log(
         Collects the time of each stage.
     live : LiveView, optional
         Shows every window as soon as it is solved.
+    file : Path, optional
+        Where the result goes; into memory otherwise.
 
     Raises
     ------
@@ -121,7 +141,9 @@ def replay_log(
     progress("reading", 0, 1)
     with timing.stage("ingest"):
         log = read_log(path, settings, reading)
-    done = replay_read(log, settings, jobs=jobs, output=output, progress=progress, stages=timing, live=live)
+    done = replay_read(
+        log, settings, jobs=jobs, output=output, progress=progress, stages=timing, live=live, file=file
+    )
     done.summary["totals"]["cpu_s"] = _cpu_s() - cpu_began
     return done
 
@@ -135,6 +157,7 @@ def replay_read(
     progress: Callable[[str, int, int], None] = silent,
     stages: Stages | None = None,
     live: LiveView | None = None,
+    file: Path | None = None,
 ) -> Replay:
     """Replay a log that has been read; arguments and errors as of `replay_log`."""
     from istc_replay.windows import settled_config
@@ -153,14 +176,16 @@ def replay_read(
 
     outcomes = plan_windows(log, config, jobs=jobs, work=work, progress=progress, seen=seen)
     progress("writing", len(outcomes), len(outcomes))
-    done = assemble(log, config, outcomes, timing)
-    if work is not None:
-        work.remove()
-    return done
+    return assemble(log, config, outcomes, timing, file=file)
 
 
 def assemble(
-    log: Log, config: Config, outcomes: Sequence[WindowOutcome], stages: Stages | None = None
+    log: Log,
+    config: Config,
+    outcomes: Sequence[WindowOutcome],
+    stages: Stages | None = None,
+    *,
+    file: Path | None = None,
 ) -> Replay:
     """Join the outcomes of all windows, wherever they were made, to the replay of the log.
 
@@ -172,47 +197,76 @@ def assemble(
         In order of their windows.
     stages : Stages, optional
         Collects the time of each stage.
-    """
-    import polars as pl
+    file : Path, optional
+        Where the result goes; into memory otherwise.
 
-    from istc_replay.export.result_mcap import result_bytes, solve_times
-    from istc_replay.export.summary import summarise
-    from istc_replay.ingest.result import read_result
-    from istc_replay.safety.log_audit import audit_log
-    from istc_replay.safety.solver_record import with_solver_record
-    from istc_replay.states import AGAINST_PLAN_SCHEMA
+    Raises
+    ------
+    ExportError
+        If the file cannot be written whole.
+    """
+    from istc_replay.export.result_mcap import solve_times, write_result
+    from istc_replay.export.summary import audited, summarise, window_figures
     from istc_replay.windows import settled_config
 
     timing = stages or Stages()
     toml = render_config(settled_config(log, config))
     config_sha256 = hashlib.sha256(toml.encode()).hexdigest()
+    certificates, solves = list[Certificate](), list[dict[str, Any]]()
+    windows, rows = list[dict[str, Any]](), list[dict[str, Any]]()
+    for outcome in outcomes:
+        windows.append(window_figures(outcome))
+        certificates += outcome.certificates
+        rows += outcome.against_plan
+        solves += solve_times(outcome.plan)
+        for name, seconds in outcome.plan.seconds.items():
+            timing.seconds[name] = timing.seconds.get(name, 0.0) + seconds
+    summary = summarise(log, windows, versions(), config_sha256)
+    with timing.stage("audit"):
+        audit = _audited(log, config, rows, windows)
+    summary["audit"] = audited(audit)
     provenance = {**versions(), "input_sha256": log.sha256, "config_sha256": config_sha256}
     if log.road_sha256:
         provenance["road_sha256"] = log.road_sha256
-    plans = [outcome.plan for outcome in outcomes]
-    certificates = [certificate for outcome in outcomes for certificate in outcome.certificates]
-    for plan in plans:
-        for name, seconds in plan.seconds.items():
-            timing.seconds[name] = timing.seconds.get(name, 0.0) + seconds
-    rows = [row for outcome in outcomes for row in outcome.against_plan]
-    with timing.stage("audit"):
-        against = pl.DataFrame(rows, schema=AGAINST_PLAN_SCHEMA)
-        try:
-            audit: Audit | str = with_solver_record(
-                audit_log(log, config, against),
-                summarise(log, outcomes, versions(), config_sha256)["windows"],
-                config,
-            )
-        except LogError as error:  # too dense for the memory: the plans stand without it
-            audit = str(error)
     findings = None if isinstance(audit, str) else audit.findings
-    with timing.stage("result_mcap"):
-        summary = summarise(log, outcomes, versions(), config_sha256, audit)
-        data = result_bytes(log, plans, certificates, summary, toml, provenance, findings=findings)
-        result = read_result(data)
-    summary["solves"] = solve_times(plans)
+    with timing.stage("result_mcap"), _target(file) as (stream, memory):
+        told = (Plans(outcomes), certificates, summary, toml, provenance)
+        write_result(stream, log, *told, findings=findings)
+    summary["solves"] = solves
     summary["stages"] = timing.seconds
-    return Replay(result, data, summary, None if isinstance(audit, str) else audit)
+    source = memory.getvalue() if file is None else file
+    return Replay(summary, source, stream.sha256, None if isinstance(audit, str) else audit)
+
+
+def _audited(
+    log: Log, config: Config, rows: list[dict[str, Any]], windows: Sequence[Mapping[str, Any]]
+) -> Audit | str:
+    """The audit of what was recorded, or why there is none."""
+    import polars as pl
+
+    from istc_replay.safety.log_audit import audit_log
+    from istc_replay.safety.solver_record import with_solver_record
+    from istc_replay.states import AGAINST_PLAN_SCHEMA
+
+    try:
+        found = audit_log(log, config, pl.DataFrame(rows, schema=AGAINST_PLAN_SCHEMA))
+    except LogError as error:  # too dense for the memory: the plans stand without it
+        return str(error)
+    return with_solver_record(found, windows, config)
+
+
+@contextmanager
+def _target(file: Path | None) -> Iterator[tuple[HashedFile, io.BytesIO]]:
+    """Where a result goes: a file that is whole or not there at all, else memory."""
+    from istc_replay.export.atomic import atomic_file
+    from istc_replay.export.hashed import HashedFile
+
+    memory = io.BytesIO()
+    if file is None:
+        yield HashedFile(memory), memory
+    else:
+        with atomic_file(file) as temporary, temporary.open("wb") as stream:
+            yield HashedFile(stream), memory
 
 
 def run_log(
@@ -245,10 +299,13 @@ def run_log(
         reading=reading,
         stages=stages,
         live=live,
+        file=folder / RESULT,
     )
+    done = replace(done, audit=None)
     windows = len(done.summary["windows"])
     progress("writing", windows, windows)
     write_run(done, folder, config, path.name, stages)
+    clear_work(folder)
     if live is not None:
         live.finish(done.result, config)
     return done
@@ -262,7 +319,7 @@ def write_run(
     stages: Stages | None = None,
     products: Collection[str] = RUN_OUTPUTS,
 ) -> None:
-    """Write a replay's result.mcap, summary.json and the `products` to a folder that is there.
+    """Write the `products` and summary.json beside a replay's result.mcap.
 
     Raises
     ------
@@ -272,8 +329,6 @@ def write_run(
     from istc_replay.export.atomic import atomic_file
 
     timing = stages or Stages()
-    with timing.stage("write_mcap"), atomic_file(folder / "result.mcap") as file:
-        file.write_bytes(done.mcap)
     if "view.rrd" in products:
         with timing.stage("view_rrd"):
             from istc_replay.export.rerun_view import write_view
@@ -284,8 +339,9 @@ def write_run(
             from istc_replay.export.report import report_html
 
             file.write_text(report_html(done.result, title), encoding="utf-8")
-    with atomic_file(folder / "summary.json") as file:
-        file.write_text(json.dumps(done.summary, indent=1, allow_nan=False) + "\n", encoding="utf-8")
+    with atomic_file(folder / "summary.json") as file, file.open("w", encoding="utf-8") as text:
+        json.dump(done.summary, text, indent=1, allow_nan=False)
+        text.write("\n")
 
 
 def result_folders(paths: Sequence[Path], output: Path) -> dict[Path, Path]:

@@ -9,6 +9,8 @@ from concurrent.futures.process import BrokenProcessPool
 from typing import TYPE_CHECKING
 
 from istc_replay.errors import ScenarioError, SolveError
+from istc_replay.pipeline.outcomes import Outcomes
+from istc_replay.pipeline.work_folder import Memory
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Iterator
@@ -17,7 +19,7 @@ if TYPE_CHECKING:
     from istc_replay.config import Config
     from istc_replay.coordinate import Planners
     from istc_replay.datatypes import Log, WindowOutcome, WindowPlan
-    from istc_replay.pipeline.work_folder import WorkFolder
+    from istc_replay.pipeline.work_folder import Store, WorkFolder
     from istc_replay.windows import LogPart
 
 #: Windows handed to each process ahead of its work; more would only take memory.
@@ -37,7 +39,7 @@ def plan_windows(
     work: WorkFolder | None = None,
     progress: Callable[[str, int, int], None] = silent,
     seen: Callable[[WindowOutcome], None] = lambda _: None,
-) -> list[WindowOutcome]:
+) -> Outcomes:
     """Plan and certify windows of a log; each follows from its part of the log and the settings alone.
 
     Any cut of the windows into calls, jobs or machines gives the same outcomes: `assemble` joins
@@ -66,45 +68,49 @@ def plan_windows(
         If the log has no vehicle, or is shorter than one time unit.
     SolveError
         If a solver is missing, or a process dies.
+
+    Returns
+    -------
+    Outcomes
+        In the order of the indices.
     """
     from istc_replay.windows import log_parts, settled_config, window_spans
 
     config = settled_config(log, config)
     chained = config.window.start == "handed_over"
-    wanted = [span[2] for span in window_spans(log, config)] if indices is None else list(indices)
-    found: dict[int, WindowOutcome] = {}
-    if work is not None:
-        stored = ((index, work.load(index)) for index in wanted)
-        found = {index: outcome for index, outcome in stored if outcome is not None}
+    spans = window_spans(log, config)
+    wanted = [span[2] for span in spans] if indices is None else list(indices)
+    kept: Store = work if work is not None and len(spans) > 1 else Memory()
+    found = [index for index in wanted if kept.holds(index)]
     if chained and wanted != list(range(len(wanted))):
         raise ScenarioError(
             f"{log.path}: windows that are handed over follow from each other: plan them from the first on, "
             'or set window.start to "recording"'
         )
     if chained:  # what is done from the first on; a later one would follow from another plan
-        done = next((index for index in wanted if index not in found), len(wanted))
-        found = {index: found[index] for index in range(done)}
-    parts = log_parts(log, config, [index for index in wanted if index not in found])
+        found = list(range(next((index for index in wanted if index not in found), len(wanted))))
+    parts = log_parts(log, config, sorted(set(wanted) - set(found)))
+    outcomes = Outcomes(wanted, kept.load)
+    count = len(found)
 
     def told(what: str) -> None:
-        progress(what, len(found), len(wanted))
+        progress(what, count, len(wanted))
 
-    for outcome in found.values():
-        seen(outcome)
+    for index in found:
+        seen(kept.load(index))
     told("corridors")
     left = len(wanted) - len(found)
     if chained or min(jobs, left) <= 1:
-        last = found[len(found) - 1].plan if chained and found else None
+        last = kept.load(found[-1]).plan if chained and found else None
         solved = _in_turn(parts, config, told, last)
     else:
         solved = _apart(parts, config, min(jobs, left))
     for outcome in solved:
-        found[outcome.plan.scenario.window.index] = outcome
-        if work is not None and len(wanted) > 1:
-            work.save(outcome)
+        kept.save(outcome)
+        count += 1
         seen(outcome)
         told("corridors")
-    return [found[index] for index in wanted]
+    return outcomes
 
 
 def _in_turn(

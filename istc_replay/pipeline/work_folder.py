@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import shutil
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Protocol
 
 import zstandard
 
@@ -45,6 +45,44 @@ def unpacked(data: bytes) -> WindowOutcome:
     return outcome
 
 
+def clear_work(output: Path) -> None:
+    """Remove what runs into an output folder have kept."""
+    for folder in output.glob(_PREFIX + "*"):
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+class Store(Protocol):
+    """Where outcomes are kept, by the indices of their windows."""
+
+    def holds(self, index: int) -> bool:
+        """Whether a window is done."""
+
+    def load(self, index: int) -> WindowOutcome:
+        """A window that is done."""
+
+    def save(self, outcome: WindowOutcome) -> None:
+        """Keep a window."""
+
+
+class Memory:
+    """Keeps outcomes packed in memory, while a run lasts."""
+
+    def __init__(self) -> None:
+        self._packed: dict[int, bytes] = {}
+
+    def holds(self, index: int) -> bool:
+        """Whether a window is done."""
+        return index in self._packed
+
+    def load(self, index: int) -> WindowOutcome:
+        """A window that is done."""
+        return unpacked(self._packed[index])
+
+    def save(self, outcome: WindowOutcome) -> None:
+        """Keep a window."""
+        self._packed[outcome.plan.scenario.window.index] = packed(outcome)
+
+
 class WorkFolder:
     """Keeps outcomes in a folder of their own within the output folder.
 
@@ -61,16 +99,27 @@ class WorkFolder:
 
     def __init__(self, output: Path, log_sha256: str, config_toml: str, versions: Mapping[str, str]) -> None:
         told = json.dumps([log_sha256, config_toml, sorted(versions.items())])
-        self._output = output
         self._folder = output / (_PREFIX + hashlib.sha256(told.encode()).hexdigest()[:24])
 
-    def load(self, index: int) -> WindowOutcome | None:
-        """A window that is done, None where it is not, or where its file is damaged."""
+    def holds(self, index: int) -> bool:
+        """Whether a window is done; it is not where its file is damaged."""
         try:
-            outcome = unpacked(self._file(index).read_bytes())
-        except (OSError, LogError):
-            return None
-        return outcome if outcome.plan.scenario.window.index == index else None
+            return self.load(index).plan.scenario.window.index == index
+        except LogError:
+            return False
+
+    def load(self, index: int) -> WindowOutcome:
+        """A window that is done.
+
+        Raises
+        ------
+        LogError
+            If it is not, or its file is damaged.
+        """
+        try:
+            return unpacked(self._file(index).read_bytes())
+        except OSError as error:
+            raise LogError(f"{self._file(index)}: not a stored window: {error}; run again") from None
 
     def save(self, outcome: WindowOutcome) -> None:
         """Keep a window.
@@ -85,11 +134,6 @@ class WorkFolder:
         prepare_folder(self._folder)
         with atomic_file(self._file(outcome.plan.scenario.window.index)) as file:
             file.write_bytes(packed(outcome))
-
-    def remove(self) -> None:
-        """Remove this folder, and those that earlier runs into the same output left behind."""
-        for folder in self._output.glob(_PREFIX + "*"):
-            shutil.rmtree(folder, ignore_errors=True)
 
     def _file(self, index: int) -> Path:
         return self._folder / f"{index:07d}.json.zst"

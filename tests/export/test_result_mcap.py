@@ -135,7 +135,7 @@ def test_the_attached_summary_holds_no_wall_clock_time_and_no_folder(
     slow = json.loads(json.dumps(synthetic_summary).replace("0.95", "7.5"))
     slow["input"]["path"] = f"/elsewhere/{slow['input']['path']}"
     slow["totals"]["cpu_s"] = 100.0
-    slow["solves"] = solve_times(plans)
+    slow["solves"] = solve_times(plans[0])
     records = tuple(dataclasses.replace(record, wall_s=9.0) for record in plans[0].records)
     slow_plan = dataclasses.replace(plans[0], records=records, corridors=None)
     same_plan = dataclasses.replace(plans[0], corridors=None)
@@ -258,7 +258,7 @@ def test_more_topics_than_mcap_can_number_are_refused(
 
 def test_solve_times_stand_in_the_order_of_the_solves(synthetic_bytes: bytes, synthetic_plan: Plan) -> None:
     told = [(s.stage, s.vehicle_id) for _, s in written(synthetic_bytes)["/istc/solves"]]
-    times = solve_times(synthetic_plan[1])
+    times = solve_times(synthetic_plan[1][0])
     assert told == [(time["stage"], time["vehicle_id"] or "") for time in times]
     assert [time["wall_s"] for time in times] == [0.05, 0.9, 0.02, 0.02, 0.02]
 

@@ -442,7 +442,7 @@ def folder(
 ) -> Path:
     """A result's folder as run writes it."""
     (tmp_path / "result.mcap").write_bytes(synthetic_bytes)
-    summary = {**synthetic_summary, "solves": solve_times(synthetic_plan[1])}
+    summary = {**synthetic_summary, "solves": solve_times(synthetic_plan[1][0])}
     (tmp_path / "summary.json").write_text(json.dumps(summary))
     return tmp_path
 

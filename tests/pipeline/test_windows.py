@@ -19,7 +19,7 @@ from istc_replay.export.sample_log import sample_bytes
 from istc_replay.ingest.log import read_log
 from istc_replay.pipeline.replay import assemble, replay_read, run_log
 from istc_replay.pipeline.windows import plan_windows
-from istc_replay.pipeline.work_folder import WorkFolder, packed, unpacked
+from istc_replay.pipeline.work_folder import WorkFolder, clear_work, packed, unpacked
 from istc_replay.plain import from_plain, to_plain
 from istc_replay.safety.certificate import certify
 from istc_replay.samples.drive import RecordedScene
@@ -150,10 +150,12 @@ def test_a_killed_run_goes_on_where_it_was(tmp_path: Path) -> None:
 def test_what_another_configuration_kept_is_not_taken(tmp_path: Path, outcomes: list[WindowOutcome]) -> None:
     mine, other = (WorkFolder(tmp_path, "0" * 64, toml, {"a": "1"}) for toml in ("x = 1", "x = 2"))
     mine.save(outcomes[1])
-    assert mine.load(1) is not None
-    assert mine.load(0) is None
-    assert other.load(1) is None
+    assert mine.holds(1)
+    assert not mine.holds(0)
+    assert not other.holds(1)
     next(tmp_path.glob("*/*.zst")).write_bytes(b"torn")
-    assert mine.load(1) is None
-    mine.remove()
+    assert not mine.holds(1)
+    with pytest.raises(LogError, match="not a stored window"):
+        mine.load(1)
+    clear_work(tmp_path)
     assert not list(tmp_path.iterdir())
