@@ -261,7 +261,8 @@ class _Rounds:
         if self._strays(found):
             return None
         late = self._late(found)
-        reason = "goal not reached: " + ", ".join(late) if late else ""
+        told = ["goal not reached: " + ", ".join(late)] if late else []
+        reason = "; ".join([*told, *filter(None, [corridors.reason])])
         # Not certified until the certificate has said so.
         plan = self._plan(WindowStatus.NOT_CERTIFIED, reason, corridors, trajectories=found)
         rank = (len(late), corridors.objective or 0.0)
@@ -362,6 +363,8 @@ class _Rounds:
         for name in names:
             others = sorted({o for pair in corridors.culprits if name in pair for o in pair} - {name})
             detail = "no way past " + ", ".join(others) if others else corridors.reason
+            if others and corridors.status is SolveStatus.LIMIT:
+                detail += " was found, planned one after the other"
             self.pending[name] = ("no_relation" if others else "no_corridor", detail)
         return bool(names)
 

@@ -364,9 +364,9 @@ class Corridors:
     """The interactive spatio-temporal corridors of one window, eq. (4).
 
     `corridors` is empty unless status is optimal or feasible. `gap` = (objective - bound) /
-    max(1, |objective|). `reason` says in one line why there is no solution, `culprits` which vehicles
-    (or pairs of road users) are in the way of one. `frames` are the guidance that eq. (9) to (12) were
-    written about, one a corridor.
+    max(1, |objective|). `reason` says in one line why there is no solution, or what of this one is out of
+    the ordinary, `culprits` which vehicles (or pairs of road users) are in the way of one. `frames` are the
+    guidance that eq. (9) to (12) were written about, one a corridor.
     """
 
     status: SolveStatus

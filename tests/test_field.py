@@ -217,6 +217,47 @@ def test_a_pair_without_a_way_is_named_and_the_others_are_planned_around_it(
     assert done.exit_code == 4
 
 
+def crossing_log() -> Log:
+    """Two cars to the east and two to the north, whose ways cross at the same time."""
+    north = np.arange(41) / 10.0
+    tracks = [driver("1", 0.0, -20.0, 10.0), driver("2", 0.0, -35.0, 10.0)]
+    for name, behind in (("3", 20.0), ("4", 36.0)):
+        track = driver(name, speed_mps=10.0, heading_rad=np.full(41, np.pi / 2))
+        tracks.append(track.with_columns(x_m=pl.lit(0.0), y_m=pl.Series(10.0 * north - behind)))
+    return log_of(*tracks)
+
+
+def with_corridors(**changes: Any) -> Config:
+    """Fast settings with changes of layer 1."""
+    return FAST.model_copy(update={"corridors": FAST.corridors.model_copy(update=changes)})
+
+
+@pytest.mark.parametrize("budget", [{"group_vehicles_max": 1}, {"tree_node_budget": 2}])
+def test_a_group_past_the_budget_is_planned_one_against_the_other_and_told(budget: dict[str, int]) -> None:
+    jointly = replayed(crossing_log())[1]
+    done, window = replayed(crossing_log(), with_corridors(**budget))
+    assert (jointly["status"], jointly["reason"]) == ("certified", "")
+    assert (window["status"], window["vehicles_certified"]) == ("certified", 4)
+    told = "too many to plan at once, planned one after the other: 1, 2, 3, 4"
+    assert window["reason"] == window["corridors"]["reason"] == told
+    tree = done.result.solves.filter(pl.col("stage") == "conflict tree")
+    assert tree["detail"].to_list()[-1] == told
+    assert window["certificate"]["verdict"] == "pass"
+
+
+def test_of_a_group_past_the_budget_who_finds_no_place_stays_as_recorded_and_is_named() -> None:
+    # Vehicle 9 drives bumper to bumper with vehicle 1: the others are planned around both or one of them.
+    ghost = driver("9", 0.0, -15.45, 10.0)
+    config = with_corridors(group_vehicles_max=1)
+    _, window = replayed(replace(crossing_log(), states=pl.concat([crossing_log().states, ghost])), config)
+    assert window["status"] == "partial"
+    frozen = {entry["vehicle_id"]: entry["reason"] for entry in window["frozen"]}
+    assert frozen == {"1": "no_relation", "9": "no_relation"}
+    assert {v["id"] for v in window["vehicles"]} == {"2", "3", "4"}
+    assert window["vehicles_certified"] == 3
+    assert window["certificate"]["verdict"] == "pass"
+
+
 def test_a_close_pair_is_planned_at_a_finer_time_unit_before_any_is_frozen() -> None:
     # 2.2 m between the bumpers at 12 m/s: a least cube is 6 m longer than the car at 0.5 s, 1.5 m at 0.125 s.
     plan = planned(log_of(driver("1"), driver("2", 0.0, 6.7), driver("3", 4.0)))

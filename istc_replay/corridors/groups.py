@@ -2,8 +2,9 @@
 
 Each vehicle is first planned alone among the obstacles; vehicles whose plans conflict are merged and
 planned together, until no conflict crosses two groups. Then the union of the groups' optima is the
-optimum of all. Where more vehicles meet than one tree can hold, they join one after the other. What is
-not proven to be the optimum is improved by neighbourhoods.
+optimum of all. Groups of too many vehicles for one tree, or for the nodes that are left, are solved one
+vehicle against the others: they join in turn, and the cubes of those that did are obstacles that move.
+What is not proven to be the optimum is improved by neighbourhoods.
 """
 
 from __future__ import annotations
@@ -31,7 +32,8 @@ class TreeOutcome:
 
     `exhausted` tells that everything was searched: z is the optimum of the pivotal points, or
     where it is None there is none. `bound` is a lower bound of eq. (3). `open_conflict` is the
-    separation that stayed open, and `groups` the vehicles that had to be planned together.
+    separation that stayed open, `culprits` are those that are in each other's way, and `groups` the vehicles
+    that had to be planned together. Those `in_turn` were planned one after the other.
     """
 
     z: FloatArray | None
@@ -39,10 +41,12 @@ class TreeOutcome:
     exhausted: bool
     bound: float = 0.0
     open_conflict: int | None = None
+    culprits: tuple[tuple[str, ...], ...] = ()
     groups: tuple[tuple[str, ...], ...] = ()
+    in_turn: tuple[str, ...] = ()
 
 
-def search(problem: CorridorProblem, node_budget: int) -> TreeOutcome:
+def search(problem: CorridorProblem, node_budget: int, together: int = TOGETHER) -> TreeOutcome:
     """Find pivotal points of small eq. (3) without conflict.
 
     Parameters
@@ -50,23 +54,33 @@ def search(problem: CorridorProblem, node_budget: int) -> TreeOutcome:
     problem : CorridorProblem
         The window's problem.
     node_budget : int
-        Largest number of QPs; those of vehicles that join a large group come on top.
+        Largest number of QPs; those of vehicles that join in turn come on top.
+    together : int
+        Most vehicles of one tree.
     """
     qp = PivotQp(problem)
     solved: dict[Group, Tree] = {}
+    apart: set[Group] = set()  # too much for one tree
     groups = [frozenset([vehicle]) for vehicle in range(len(problem.blocks))]
     nodes = 0
     while True:
         for group in groups:
-            if group in solved or len(group) > TOGETHER:
+            if group in solved or group in apart:
+                continue
+            if len(group) > together:
+                apart.add(group)
                 continue
             tree = Tree(problem, qp, group, node_budget - nodes, _inherited(solved, group))
             tree.run()
             nodes += tree.nodes
-            if tree.best is None:
-                failed: tuple[tuple[str, ...], ...] = (_names(problem, group),)
-                return TreeOutcome(None, nodes, tree.exhausted, 0.0, tree.open_conflict, failed)
-            solved[group] = tree
+            if tree.best is not None:
+                solved[group] = tree
+            elif not tree.exhausted:
+                apart.add(group)
+            else:
+                conflict = tree.open_conflict
+                culprits = _names(problem, group) if conflict is None else problem.pair(conflict)
+                return TreeOutcome(None, nodes, True, 0.0, conflict, (culprits,))
         z = _union(qp, problem, _latest(solved))
         merged = _merged(problem, z, groups)
         if len(merged) == len(groups):
@@ -75,26 +89,40 @@ def search(problem: CorridorProblem, node_budget: int) -> TreeOutcome:
     # A bound of each part bounds the whole: of large groups that of the parts they were merged from.
     trees = _latest(solved)
     bound = sum(tree.bound for tree in trees)
-    names = tuple(_names(problem, group) for group in groups)
-    exhausted = all(tree.exhausted for tree in trees) and all(len(group) <= TOGETHER for group in groups)
-    z = problem.least_cubes(z)
-    if any(len(group) > TOGETHER for group in groups):
-        joined, more, pair = join(problem, z, _joining_order(problem, z))
+    z, large = problem.least_cubes(z), frozenset[int]().union(*apart.intersection(groups))
+    exhausted = all(tree.exhausted for tree in trees) and not large
+    if large:
+        joined, more, culprits_left = _one_against_the_other(problem, qp, z, large, node_budget, together)
         nodes += more
         if joined is None:
-            everyone = Tree(problem, qp, frozenset(range(len(problem.blocks))), node_budget, ())
-            everyone.earliest_first = True
-            everyone.plunge((), node_budget, first_only=True)
-            nodes += everyone.nodes
-            if everyone.best is None:
-                culprits = names if pair is None else (_names(problem, frozenset(pair)),)
-                return TreeOutcome(None, nodes, False, bound, None, culprits)
-            joined = problem.least_cubes(qp.z(everyone.best))
+            return TreeOutcome(None, nodes, False, bound, None, culprits_left)
         z = joined
     if not exhausted:
         z, more = improve(problem, z, max(node_budget - nodes, node_budget // 4))
         nodes += more
-    return TreeOutcome(z, nodes, exhausted, bound, None, names)
+    names = tuple(_names(problem, group) for group in groups)
+    return TreeOutcome(z, nodes, exhausted, bound, None, (), names, _names(problem, large))
+
+
+def _one_against_the_other(
+    problem: CorridorProblem, qp: PivotQp, z: FloatArray, large: Group, node_budget: int, together: int
+) -> tuple[FloatArray | None, int, tuple[tuple[str, ...], ...]]:
+    """Put vehicles beside all others in turn; else all of them at once, the earliest conflict first.
+
+    Gives a solution or None, the number of QPs, and who found no place beside whom.
+    """
+    everyone = frozenset(range(len(problem.blocks)))
+    order = [vehicle for vehicle in _joining_order(problem, z) if vehicle in large]
+    joined, nodes, left = join(problem, z, order, everyone - large, together)
+    if joined is not None:
+        return joined, nodes, ()
+    tree = Tree(problem, qp, everyone, node_budget, ())
+    tree.earliest_first = True
+    tree.plunge((), node_budget, first_only=True)
+    nodes += tree.nodes
+    if tree.best is not None:
+        return problem.least_cubes(qp.z(tree.best)), nodes, ()
+    return None, nodes, tuple(names for _, names in left)
 
 
 def _joining_order(problem: CorridorProblem, z: FloatArray) -> list[int]:
@@ -113,7 +141,7 @@ def _latest(solved: dict[Group, Tree]) -> list[Tree]:
     return list({id(tree): tree for tree in latest.values()}.values())
 
 
-def prove(problem: CorridorProblem, z: FloatArray, node_budget: int) -> TreeOutcome:
+def prove(problem: CorridorProblem, z: FloatArray, node_budget: int, together: int = TOGETHER) -> TreeOutcome:
     """Bound eq. (3) of a problem that has a solution, best first; where one tree holds all, improve on it.
 
     Parameters
@@ -125,9 +153,11 @@ def prove(problem: CorridorProblem, z: FloatArray, node_budget: int) -> TreeOutc
     node_budget : int
         Largest number of QPs of the size of `_USUAL`; of larger ones, which take more steps of more
         work, it buys fewer by the fourth power of their size.
+    together : int
+        Most vehicles of one tree.
     """
     qp, costs = PivotQp(problem), vehicle_costs(problem, z)
-    parts = _parts(problem, qp)
+    parts = _parts(problem, qp, together)
     whole = len(parts) == 1
     trees = []
     for part in parts:
@@ -146,11 +176,11 @@ def prove(problem: CorridorProblem, z: FloatArray, node_budget: int) -> TreeOutc
     )
 
 
-def _parts(problem: CorridorProblem, qp: PivotQp) -> list[Group]:
+def _parts(problem: CorridorProblem, qp: PivotQp, together: int) -> list[Group]:
     """The vehicles in groups that a tree can hold, those together that are most in each other's way."""
     everyone = tuple(range(len(problem.blocks)))
     alone = qp.root(everyone, ())
-    if len(everyone) <= TOGETHER or alone is None:
+    if len(everyone) <= together or alone is None:
         return [frozenset(everyone)]
     table = problem.separations
     slack = table.slack(problem.least_cubes(qp.z(alone))).max(axis=1, initial=-np.inf)
@@ -160,7 +190,7 @@ def _parts(problem: CorridorProblem, qp: PivotQp) -> list[Group]:
     of = {vehicle: frozenset([vehicle]) for vehicle in everyone}
     for i, j in sorted(np.argwhere(depth > 0.0).tolist(), key=lambda pair: (-depth[pair[0], pair[1]], pair)):
         union = of[i] | of[j]
-        if len(union) <= TOGETHER:
+        if len(union) <= together:
             of |= dict.fromkeys(union, union)
     return list(dict.fromkeys(of.values()))
 
@@ -176,7 +206,13 @@ def _inherited(solved: dict[Group, Tree], group: Group) -> Choices:
 
 
 def _union(qp: PivotQp, problem: CorridorProblem, trees: list[Tree]) -> FloatArray:
+    """The plans of the trees, and of who is in none its own without any option."""
     z = np.zeros(problem.size)
+    planned = frozenset[int]().union(*(tree.group for tree in trees))
+    others = tuple(vehicle for vehicle in range(len(problem.blocks)) if vehicle not in planned)
+    free = qp.root(others, ()) if others else None
+    if free is not None:
+        z += qp.z(free)
     for tree in trees:
         if tree.best is not None:
             z += qp.z(tree.best)  # each has its own vehicles' entries alone

@@ -45,6 +45,7 @@ class Search:
     exhausted: bool = False  # the conflict tree saw everything there is
     records: list[SolveRecord] = field(default_factory=list)
     culprits: tuple[tuple[str, ...], ...] = ()
+    note: str = ""  # how the incumbent was found, where that is out of the ordinary
     frames: tuple[Guidance, ...] = ()  # that `problem` is written about, where they are not the guidance
 
     def offer(self, z: FloatArray | None, stage: str) -> bool:
@@ -79,16 +80,18 @@ def grow_tree(search: Search, config: CorridorsConfig) -> TreeOutcome:
     """Stage A: pivotal points without conflict."""
     began = time.perf_counter()
     problem = search.problem
-    tree = groups.search(problem, config.tree_node_budget)
+    tree = groups.search(problem, config.tree_node_budget, config.group_vehicles_max)
     search.exhausted, search.reference_bound = tree.exhausted, tree.bound
     search.offer(tree.z, "conflict tree")
     status = SolveStatus.FEASIBLE
     if tree.z is None:
         status = SolveStatus.INFEASIBLE if tree.exhausted else SolveStatus.LIMIT
-        conflict = tree.open_conflict
-        search.culprits = tree.groups if conflict is None else (problem.pair(conflict),)
+        search.culprits = tree.culprits
     objective = None if tree.z is None else problem.objective(tree.z)
-    search.record("conflict tree", "daqp", status, began, nodes=tree.nodes, objective=objective)
+    if tree.in_turn:
+        search.note = f"too many to plan at once, planned one after the other: {', '.join(tree.in_turn)}"
+    figures = {"nodes": tree.nodes, "objective": objective, "detail": search.note}
+    search.record("conflict tree", "daqp", status, began, **figures)
     return tree
 
 

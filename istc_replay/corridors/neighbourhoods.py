@@ -28,10 +28,17 @@ _SWEEPS, _WORTH_A_SWEEP = 4, 0.005
 _JOINING_NODES = 200
 _ATTEMPTS = 6
 
+#: A vehicle that found no place, and the names of it and of one in its way.
+Left = tuple[int, tuple[str, ...]]
+
 
 def join(
-    problem: CorridorProblem, z: FloatArray, order: Sequence[int]
-) -> tuple[FloatArray | None, int, tuple[int, int] | None]:
+    problem: CorridorProblem,
+    z: FloatArray,
+    order: Sequence[int],
+    placed: Group = frozenset(),
+    together: int = TOGETHER,
+) -> tuple[FloatArray | None, int, tuple[Left, ...]]:
     """Put a plan together vehicle by vehicle; who finds no place joins first in the next attempt.
 
     Parameters
@@ -42,35 +49,50 @@ def join(
         Each vehicle's plan alone.
     order : sequence of int
         The vehicles, in the order in which they join.
+    placed : set of int
+        Vehicles whose plans stand already; they move along where one that joins meets them.
+    together : int
+        Most vehicles that move at once.
 
     Returns
     -------
     tuple
-        A solution with least cubes or None, the number of QPs, and the two that were in each other's
-        way where there is none.
+        A solution with least cubes or None, the number of QPs, and of the best attempt who found no
+        place, and the names of each and of one in its way.
     """
-    qp, nodes, pair = PivotQp(problem), 0, None
+    qp, nodes, fewest = PivotQp(problem), 0, None
     for _ in range(_ATTEMPTS):
-        joined, more, pair = _joined(problem, qp, problem.least_cubes(z), order)
+        joined, more, left = _joined(problem, qp, problem.least_cubes(z), order, placed, together)
         nodes += more
-        if joined is not None or pair is None:
-            return joined, nodes, None
-        order = [pair[0], *(vehicle for vehicle in order if vehicle != pair[0])]
-    return None, nodes, pair
+        if not left:
+            return joined, nodes, ()
+        if fewest is None or len(left) < len(fewest):
+            fewest = left
+        first = [vehicle for vehicle, _ in left]
+        again = [*first, *(vehicle for vehicle in order if vehicle not in first)]
+        if again == list(order):
+            break
+        order = again
+    return None, nodes, tuple(fewest or ())
 
 
 def _joined(
-    problem: CorridorProblem, qp: PivotQp, z: FloatArray, order: Sequence[int]
-) -> tuple[FloatArray | None, int, tuple[int, int] | None]:
-    placed: Group = frozenset()
-    nodes = 0
+    problem: CorridorProblem,
+    qp: PivotQp,
+    z: FloatArray,
+    order: Sequence[int],
+    placed: Group,
+    together: int,
+) -> tuple[FloatArray, int, list[Left]]:
+    """One attempt: the plan of those that found a place, the number of QPs, and who found none."""
+    nodes, left = 0, list[Left]()
     for vehicle in order:
         costs = vehicle_costs(problem, z)
         meetings = _meetings(problem, z, placed | {vehicle})
         # First it alone chooses, then also whom it meets, and whom they meet.
         for rings in range(3):
-            part = _moving(frozenset([vehicle]), costs, meetings, rings)
-            moving = _moving(part, costs, meetings)
+            part = _moving(frozenset([vehicle]), costs, meetings, rings, together)
+            moving = _moving(part, costs, meetings, together=together)
             kept = _kept(problem, z, part, moving)
             view = qp.beside(z, tuple(sorted(moving)))
             tree = Tree(problem, view, moving, _JOINING_NODES, kept, against=placed - moving)
@@ -81,12 +103,22 @@ def _joined(
             nodes += tree.nodes
             if tree.best is not None:
                 z = problem.least_cubes(view.z(tree.best))
+                placed |= {vehicle}
                 break
         else:
-            met = [w for pair in meetings if vehicle in pair for w in pair if w != vehicle]
-            return None, nodes, (vehicle, min(met, default=vehicle))
-        placed |= {vehicle}
-    return z, nodes, None
+            left.append((vehicle, _in_the_way(problem, vehicle, tree.open_conflict, meetings)))
+    return z, nodes, left
+
+
+def _in_the_way(
+    problem: CorridorProblem, vehicle: int, conflict: int | None, meetings: set[tuple[int, int]]
+) -> tuple[str, ...]:
+    """Names of a vehicle that found no place and of whom it was last in conflict with, or meets."""
+    name = problem.blocks[vehicle].vehicle_id
+    if conflict is not None and name in problem.pair(conflict):
+        return problem.pair(conflict)
+    met = [w for pair in meetings if vehicle in pair for w in pair if w != vehicle]
+    return (name, *(problem.blocks[w].vehicle_id for w in sorted(met)[:1]))
 
 
 def improve(problem: CorridorProblem, z: FloatArray, node_budget: int) -> tuple[FloatArray, int]:
@@ -172,12 +204,18 @@ def _costliest_part(
     return max(left, key=lambda part: sum(costs[v] for v in part), default=None)
 
 
-def _moving(part: Group, costs: list[float], meetings: set[tuple[int, int]], rings: int = 2) -> Group:
+def _moving(
+    part: Group,
+    costs: list[float],
+    meetings: set[tuple[int, int]],
+    rings: int = 2,
+    together: int = TOGETHER,
+) -> Group:
     """The part and whom it meets, and whom they meet, the costliest first, as many as can be afforded."""
     moving = set(part)
     for _ in range(rings):
         met = {w for pair in meetings if moving & set(pair) for w in pair} - moving
-        moving |= set(sorted(met, key=lambda v: (-costs[v], v))[: max(0, TOGETHER - len(moving))])
+        moving |= set(sorted(met, key=lambda v: (-costs[v], v))[: max(0, together - len(moving))])
     return frozenset(moving)
 
 

@@ -64,7 +64,7 @@ def prove_points(search: Search, config: CorridorsConfig) -> None:
         return
     began = time.perf_counter()
     problem = search.problem
-    tree = groups.prove(problem, search.z, config.tree_proof_node_budget)
+    tree = groups.prove(problem, search.z, config.tree_proof_node_budget, config.group_vehicles_max)
     search.exhausted = tree.exhausted
     search.reference_bound = max(search.reference_bound, tree.bound)
     status = SolveStatus.OPTIMAL if tree.exhausted else SolveStatus.FEASIBLE

@@ -116,6 +116,7 @@ def _outcome(search: Search, config: CorridorsConfig) -> Corridors:
         bound=search.bound if np.isfinite(search.bound) else None,
         gap=gap,
         found_by=search.found_by,
+        reason=search.note,
         records=records,
     )
 

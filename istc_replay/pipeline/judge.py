@@ -103,7 +103,8 @@ def _with_verdict(plan: WindowPlan, certificates: Sequence[Certificate]) -> Wind
     if verdict is Verdict.PASS:
         if plan.frozen:
             stay = "; ".join(f"{e.vehicle_id}: {e.detail}" for e in plan.frozen)
-            return replace(plan, status=WindowStatus.PARTIAL, reason=f"as recorded stay {stay}")
+            reason = "; ".join(filter(None, [f"as recorded stay {stay}", plan.reason]))
+            return replace(plan, status=WindowStatus.PARTIAL, reason=reason)
         return replace(plan, status=WindowStatus.CERTIFIED)
     faults = [c for c in certificates if c.verdict in (Verdict.FAIL, Verdict.INCONCLUSIVE)]
     reason = "; ".join(f"{c.check} {c.verdict}: {c.detail}" for c in faults) or "nothing was certified"

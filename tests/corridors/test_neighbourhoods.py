@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -31,9 +32,9 @@ def conflict(problem: CorridorProblem, z: np.ndarray) -> float:
 def test_vehicles_that_join_one_by_one_have_no_conflict(seed: int, crossing: Callable[..., Any]) -> None:
     problem = crossing(seed, vehicles=4, units=6).problem()
     assert conflict(problem, alone(problem)) > 0.1
-    joined, nodes, pair = join(problem, alone(problem), [0, 1, 2, 3])
+    joined, nodes, left = join(problem, alone(problem), [0, 1, 2, 3])
     assert joined is not None
-    assert pair is None
+    assert left == ()
     assert nodes >= 4
     assert conflict(problem, joined) <= 1e-5
     rows = problem.rows
@@ -72,22 +73,39 @@ def test_an_optimum_is_left_as_it_is(crossing: Callable[..., Any]) -> None:
     assert problem.reference_cost(again) == pytest.approx(problem.reference_cost(best.z), rel=2e-4)
 
 
-def test_a_large_group_is_put_together_from_parts(
-    monkeypatch: pytest.MonkeyPatch, crossing: Callable[..., Any]
+@pytest.mark.parametrize(("nodes", "together"), [(1000, 2), (3, 8), (1, 4)])
+def test_a_group_past_the_budget_is_solved_one_against_the_other(
+    nodes: int, together: int, crossing: Callable[..., Any]
 ) -> None:
     problem = crossing(5, vehicles=5, units=6).problem()
-    monkeypatch.setattr("istc_replay.corridors.groups.TOGETHER", 2)
-    found = search(problem, 1000)
+    found = search(problem, nodes, together)
     assert found.z is not None
     assert not found.exhausted
+    assert len(found.in_turn) > together or nodes < 5
     assert conflict(problem, found.z) <= 1e-5
     assert found.bound <= problem.reference_cost(found.z)
+    jointly = search(problem, 8000)
+    assert jointly.in_turn == ()
+    assert jointly.bound <= problem.reference_cost(found.z) * (1 + 1e-6)
+
+
+def test_who_finds_no_place_beside_others_is_named_with_one_in_its_way(crossing: Callable[..., Any]) -> None:
+    problem = crossing(5, vehicles=4, units=6).problem()
+    table = problem.separations
+    # Vehicle 2 and 3 cannot be separated in one unit; all others can.
+    (blocked,) = np.flatnonzero((table.first == 2) & (table.second == 3) & ~table.obstacle)[:1]
+    gap = table.gap.copy()
+    gap[blocked] = np.inf
+    hopeless = replace(problem, separations=replace(table, gap=gap))
+    joined, _, left = join(hopeless, alone(problem), [0, 1, 2, 3])
+    assert joined is None
+    assert [names for _, names in left] == [("3", "4")]
+    found = search(hopeless, 1, 2)
+    assert (found.z, found.culprits) == (None, (("3", "4"),))
 
 
 @pytest.mark.parametrize("seed", [2, 5])
-def test_parts_bound_the_whole(
-    seed: int, monkeypatch: pytest.MonkeyPatch, crossing: Callable[..., Any]
-) -> None:
+def test_parts_bound_the_whole(seed: int, crossing: Callable[..., Any]) -> None:
     problem = crossing(seed, vehicles=4, units=6).problem()
     best = search(problem, 8000)
     assert best.exhausted
@@ -96,7 +114,6 @@ def test_parts_bound_the_whole(
     whole = prove(problem, best.z, 8000)
     assert whole.exhausted
     assert optimum * (1 - 1e-3) <= whole.bound <= optimum * (1 + 1e-6)
-    monkeypatch.setattr("istc_replay.corridors.groups.TOGETHER", 2)
-    parts = prove(problem, best.z, 8000)
+    parts = prove(problem, best.z, 8000, together=2)
     assert not parts.exhausted
     assert 0.0 < parts.bound <= optimum * (1 + 1e-6)

@@ -132,7 +132,7 @@ def test_a_solver_that_dies_before_anything_was_found_is_named(
     fake_cbc: Callable[[str], None], intersection: Callable[..., Any]
 ) -> None:
     fake_cbc("kill -9 $$\n")
-    solved = intersection("intersection_turn_first").solved(tree_node_budget=2)
+    solved = intersection("intersection_turn_first").solved(formulation="paper")
     assert solved.status is SolveStatus.ERROR
     assert not solved.corridors
     assert "CBC was killed by signal 9" in solved.reason
@@ -274,11 +274,16 @@ def test_a_map_without_room_is_named(crossing: Callable[..., Any]) -> None:
     assert "no room" in solved.reason
 
 
-def test_a_spent_tree_budget_leaves_the_proof_to_find_the_corridors(intersection: Callable[..., Any]) -> None:
+def test_a_spent_tree_budget_leaves_vehicles_to_join_in_turn_and_the_rest_to_the_proof(
+    intersection: Callable[..., Any],
+) -> None:
     case = intersection("intersection_turn_first")
-    solved = case.solved(tree_node_budget=2)
-    assert solved.status in (SolveStatus.OPTIMAL, SolveStatus.FEASIBLE)
+    solved = case.solved(tree_node_budget=2, frame_rounds=0)
+    assert solved.status is SolveStatus.OPTIMAL
     assert solved.objective == pytest.approx(case.solved().objective, rel=5e-3)
+    assert solved.reason == "too many to plan at once, planned one after the other: 1, 2, 3"
+    (tree,) = [record for record in solved.records if record.stage == "conflict tree"]
+    assert tree.detail == solved.reason
 
 
 def test_the_same_input_gives_the_same_bits(intersection: Callable[..., Any]) -> None:
