@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 import daqp
 import numpy as np
 
+from istc_replay.corridors.pivot_rows import PivotRows
 from istc_replay.corridors.problem import CONSTANT
 
 if TYPE_CHECKING:
@@ -21,8 +22,6 @@ if TYPE_CHECKING:
 
 _OPTIMAL = (1, 2)  # DAQP's exit flags of an optimal solution
 _UNBOUNDED = 1e30
-#: Rows for options that a matrix has room for when it is made.
-_ROOM = 32
 
 #: Options chosen so far: (separation, option).
 Choice = tuple[int, int]
@@ -56,15 +55,6 @@ class PivotSolution:
         return tuple(choice for part in self.parts for choice in part.choices)
 
 
-@dataclass(slots=True)
-class _Matrix:
-    """The rows of some vehicles, below them room for those of options, and a unit Hessian."""
-
-    rows: FloatArray
-    own: int
-    hessian: FloatArray
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _Option:
     """Up to four rows of an option: place of each entry, its weight, and the lower bounds."""
@@ -81,7 +71,7 @@ class PivotQp:
     The least cube of a unit is the hull of the car-boxes at its two pivotal points, so an option
     is at most four linear rows: every point of one side from every point of the other.
     Variables are scaled to a unit Hessian about the reference, z = reference + y / root: DAQP's own
-    form.
+    form. DAQP is given the rows that are watched (`pivot_rows`).
     """
 
     def __init__(self, problem: CorridorProblem) -> None:
@@ -95,8 +85,7 @@ class PivotQp:
         self._column[pivots] = np.arange(len(pivots))
         self._root = np.sqrt(2.0 * problem.quadratic[pivots])
         self._reference = problem.reference[pivots]
-        self._own = self._own_rows()
-        self._matrices: dict[tuple[int, ...], _Matrix] = {}
+        self._rows = PivotRows(problem, self._root)
         self._options: dict[Choice, _Option] = {}
         self._held = np.zeros(len(problem.blocks), dtype=bool)
         self._around = np.zeros(problem.size)
@@ -109,26 +98,6 @@ class PivotQp:
         other._around = np.array(z)
         other._around[self._pivots[self._columns(free)]] = 0.0
         return other
-
-    def _own_rows(self) -> list[tuple[FloatArray, FloatArray, FloatArray]]:
-        """Rows of the pivotal points alone, by vehicle: scaled matrix, lower and upper bounds."""
-        problem, rows = self._problem, self._problem.rows
-        column = self._column[rows.index]  # (R, 6)
-        pivotal = ((column != CONSTANT) | (rows.weight == 0.0)).all(axis=1)
-        lower = (problem.lower[self._pivots] - self._reference) * self._root
-        upper = (problem.upper[self._pivots] - self._reference) * self._root
-        found = []
-        for first, end in zip(self._start[:-1], self._start[1:], strict=True):
-            which = np.flatnonzero(pivotal & (column[:, 0] >= first) & (column[:, 0] < end))
-            matrix = np.zeros((len(which), end - first + 1))  # the last column takes the padding
-            place = np.where(column[which] == CONSTANT, end - first, column[which] - first)
-            np.put_along_axis(matrix, place, rows.weight[which], axis=1)
-            matrix = matrix[:, :-1]
-            shift = matrix @ self._reference[first:end]
-            low = np.concatenate([lower[first:end], rows.lower[which] - shift])
-            high = np.concatenate([upper[first:end], rows.upper[which] - shift])
-            found.append((matrix / self._root[first:end], low, high))
-        return found
 
     def z(self, solution: PivotSolution) -> FloatArray:
         """The solution's pivotal points in z; what is not part of it is 0, or as held."""
@@ -193,49 +162,44 @@ class PivotQp:
     def _solve(
         self, members: tuple[int, ...], choices: Choices, before: list[Part] | None, limit: float
     ) -> Part | None:
+        """Solve with the watched rows, and again with those that this misses, until it misses none."""
         options = [self._option(choice) for choice in choices]
-        counts = [len(option.lower) for option in options]
-        matrix = self._matrix(members, sum(counts))
-        size, own = matrix.rows.shape[1], matrix.own
-        used = matrix.rows[: own + sum(counts)]
-        used[own:] = 0.0
-        column = self._local(members)
-        at = own
-        for option, count in zip(options, counts, strict=True):
-            used[at + option.row, column[option.column]] = option.weight
-            at += count
-        low = np.concatenate([*self._bounds(members, 1), *(option.lower for option in options)])
-        high = np.full(len(low), _UNBOUNDED)
-        high[: size + own] = np.concatenate(self._bounds(members, 2))
-        start = None if before is None else self._start_multipliers(members, before, len(low))
-        y, _, flag, info = daqp.solve(
-            matrix.hessian,
-            np.zeros(size),
-            used,
-            high,
-            np.maximum(low, -_UNBOUNDED),
-            np.zeros(len(low), dtype=np.int32),
-            dual_start=start,
-            fval_bound=min(limit, _UNBOUNDED),
-        )
-        if flag not in _OPTIMAL:
-            return None
-        y = np.asarray(y)
-        return Part(members, choices, float(y @ y) / 2.0, y, np.asarray(info["lam"]))
+        tied = sum(len(option.lower) for option in options)
+        start = None if before is None else self._start_multipliers(members, before, tied)
+        while True:
+            matrix = self._rows.matrix(members, tied)
+            size, own = matrix.rows.shape[1], len(matrix.lower)
+            rows = matrix.rows[: own - size + tied]
+            self._enforce(options, rows[own - size :], members)
+            low = np.concatenate([matrix.lower, *(option.lower for option in options)])
+            high = np.concatenate([matrix.upper, np.full(tied, _UNBOUNDED)])
+            if start is not None:
+                start = np.concatenate([start[matrix.place], start[matrix.count :]])
+            y, _, flag, info = daqp.solve(
+                matrix.hessian,
+                np.zeros(size),
+                rows,
+                high,
+                np.maximum(low, -_UNBOUNDED),
+                np.zeros(len(low), dtype=np.int32),
+                dual_start=start,
+                fval_bound=min(limit, _UNBOUNDED),
+            )
+            if flag not in _OPTIMAL:
+                return None
+            y = np.asarray(y)
+            start = np.zeros(matrix.count + tied)
+            start[matrix.place], start[matrix.count :] = np.split(np.asarray(info["lam"]), [own])
+            if not self._rows.missed(members, y):
+                return Part(members, choices, float(y @ y) / 2.0, y, start)
 
-    def _matrix(self, members: tuple[int, ...], extra: int) -> _Matrix:
-        """The vehicles' rows with room for `extra` more, kept from call to call."""
-        known = self._matrices.get(members)
-        if known is None or len(known.rows) < known.own + extra:
-            matrices = [self._own[v][0] for v in members]
-            own = sum(len(m) for m in matrices)
-            rows = np.zeros((own + max(_ROOM, 2 * extra), sum(m.shape[1] for m in matrices)))
-            row = column = 0
-            for m in matrices:
-                rows[row : row + len(m), column : column + m.shape[1]] = m
-                row, column = row + len(m), column + m.shape[1]
-            known = self._matrices[members] = _Matrix(rows, own, np.eye(rows.shape[1]))
-        return known
+    def _enforce(self, options: list[_Option], rows: FloatArray, members: tuple[int, ...]) -> None:
+        """Write the options' rows."""
+        rows[:] = 0.0
+        column, at = self._local(members), 0
+        for option in options:
+            rows[at + option.row, column[option.column]] = option.weight
+            at += len(option.lower)
 
     def _local(self, members: tuple[int, ...]) -> IntArray:
         """Columns of the group's matrix by columns of all pivotal points."""
@@ -244,27 +208,20 @@ class PivotQp:
         local[columns] = np.arange(len(columns))
         return local
 
-    def _bounds(self, members: tuple[int, ...], which: int) -> list[FloatArray]:
-        """Lower (1) or upper (2) bounds: first of all variables, then of all rows."""
-        sizes = [self._start[v + 1] - self._start[v] for v in members]
-        bounds = [self._own[v][which] for v in members]
-        variables = [b[:n] for b, n in zip(bounds, sizes, strict=True)]
-        return variables + [b[n:] for b, n in zip(bounds, sizes, strict=True)]
-
-    def _start_multipliers(self, members: tuple[int, ...], before: list[Part], length: int) -> FloatArray:
+    def _start_multipliers(self, members: tuple[int, ...], before: list[Part], tied: int) -> FloatArray:
         """Multipliers of the parts, put together; 0 for what is new."""
         variables: dict[int, FloatArray] = {}
         rows: dict[int, FloatArray] = {}
         chosen = []
         for part in before:
             sizes = [int(self._start[v + 1] - self._start[v]) for v in part.members]
-            counts = [len(self._own[v][0]) for v in part.members]
+            counts = [self._rows.count(v) for v in part.members]
             pieces = np.split(part.multipliers, np.cumsum([*sizes, *counts]))
             variables |= dict(zip(part.members, pieces, strict=False))
             rows |= dict(zip(part.members, pieces[len(sizes) :], strict=False))
             chosen.append(pieces[-1])
         found = np.concatenate([*(variables[v] for v in members), *(rows[v] for v in members), *chosen])
-        return np.concatenate([found, np.zeros(length - len(found))])
+        return np.concatenate([found, np.zeros(tied - sum(map(len, chosen)))])
 
     def _option(self, choice: Choice) -> _Option:
         if choice not in self._options:
