@@ -232,7 +232,7 @@ class CorridorsConfig(Section):
     lateral_acceleration_mps2: Positive = 1.5
     """Largest second difference sideways."""
     lateral_m: Positive = 1.5
-    """A plan of traffic that leaves its recorded path sideways by more is not accepted."""
+    """A plan of traffic that leaves its path sideways by more is not accepted, where no road is told."""
     frame_rounds: Annotated[int, Field(ge=0)] = 5
     """How often a hard scene's frames, eq. (9) to (12), are written anew about its plan."""
     gap_tolerance: Positive = 1e-3

@@ -8,14 +8,16 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from istc_replay.bicycle import dense_motion
 from istc_replay.corridors.formulation import default_limits
 from istc_replay.corridors.solve import solve_corridors
 from istc_replay.datatypes import SolveStatus, WindowPlan, WindowStatus
 from istc_replay.errors import SolveError
-from istc_replay.field import Field, Repairs, lateral_excursion_m, least_cover, prepare
+from istc_replay.field import Field, Repairs, least_cover, prepare
 from istc_replay.geometry import shift_along
 from istc_replay.guidance.build import STANDING_MPS, build_guidance
 from istc_replay.handover import handed_over
+from istc_replay.lateral import ROAD, lateral
 from istc_replay.scenario import build_scenario
 from istc_replay.tracks import road_users
 from istc_replay.trajectories.plan import TrajectoryPlanner
@@ -29,6 +31,8 @@ if TYPE_CHECKING:
     from istc_replay.corridors.problem import Limits
     from istc_replay.datatypes import (
         Corridors,
+        Lateral,
+        LateralBound,
         Scenario,
         SolveRecord,
         Trajectory,
@@ -43,6 +47,8 @@ _FASTER_SHARE, _FASTER_MPS = 1.15, 1.0
 ARRIVED_M = 1.0
 #: A scene whose vehicles do not arrive is tried again from other seeds so often.
 _RESEEDS = 2
+#: A plan keeps this from its lateral bound, at instants no farther apart than the second [m, s].
+_LATERAL_RESERVE_M, _LATERAL_STEP_S = 0.02, 0.05
 #: At time units no longer than this, traffic has two control intervals in each.
 _SHORT_UNIT_S = 0.5
 #: Where vehicles have to be frozen, plans at so many of the finest time units are compared.
@@ -213,6 +219,8 @@ class _Rounds:
     pending: dict[str, tuple[str, str]] = field(default_factory=dict)
     limits: dict[str, Limits] = field(default_factory=dict)
     tightened: dict[str, int] = field(default_factory=dict)
+    strayed: dict[str, int] = field(default_factory=dict)
+    lateral: tuple[Lateral, ...] = ()
     records: list[SolveRecord] = field(default_factory=list)
     attempt: int = 0
     kept: tuple[tuple[int, float], WindowPlan] | None = None
@@ -369,16 +377,22 @@ class _Rounds:
         return bool(names)
 
     def _strays(self, found: tuple[Trajectory, ...]) -> bool:
-        """In traffic, freeze whoever leaves its recorded path sideways by too much."""
-        if not self.ready.scenario.traffic:
-            return False
-        most = self.config.corridors.lateral_m
-        for trajectory, guide in zip(found, self.ready.guidance, strict=True):
-            away = lateral_excursion_m(trajectory, guide)
-            if away > most:
-                detail = f"its plan leaves the recorded path by {away:.2f} m, more than {most:g} m"
-                self.pending[trajectory.vehicle_id] = ("off_the_path", detail)
-        return bool(self.pending)
+        """In traffic, have whoever goes too far sideways planned with more room, then freeze it."""
+        pairs = zip(found, self.ready.scenario.participants, strict=True)
+        self.lateral = tuple(_lateral(t, p.lateral) for t, p in pairs if p.lateral is not None)
+        again = False
+        for kept in self.lateral:
+            name, short = kept.vehicle_id, _LATERAL_RESERVE_M - kept.margin_m
+            if short <= 0.0:
+                continue
+            if self.strayed.get(name, 0) < self.config.trajectories.feedback_rounds:
+                self.strayed[name] = self.strayed.get(name, 0) + 1
+                limits = self.limits[name]
+                self.limits[name] = replace(limits, room_m=limits.room_m + short + _LATERAL_RESERVE_M)
+                again = True
+            else:
+                self.pending[name] = _astray(kept)
+        return again or bool(self.pending)
 
     def _plan(
         self,
@@ -404,10 +418,36 @@ class _Rounds:
             frozen=tuple(ready.frozen),
             vehicle_gap_m=ready.vehicle_gap_m,
             obstacle_gap_m=ready.obstacle_gap_m,
+            lateral=self.lateral if trajectories else (),
         )
 
     def _after(self) -> str:
         return "" if self.round == 1 else f" (after {self.round} rounds)"
+
+
+def _lateral(trajectory: Trajectory, bound: LateralBound) -> Lateral:
+    """How a trajectory keeps its lateral bound, between its knots too."""
+    size, times = trajectory.dimensions, trajectory.times_s
+    dense, _, _ = dense_motion(
+        trajectory.states[0],
+        trajectory.controls,
+        float(times[1] - times[0]),
+        size.wheelbase_m,
+        _LATERAL_STEP_S,
+    )
+    states = np.vstack([dense[:, :-1].reshape(-1, 6), dense[-1, -1]])
+    centres = shift_along(states[:, 0], states[:, 1], states[:, 2], size.rear_axle_to_centre_m)
+    poses = np.column_stack([centres, states[:, 2]])
+    return lateral(trajectory.vehicle_id, bound, poses, (size.length_m, size.width_m))
+
+
+def _astray(kept: Lateral) -> tuple[str, str]:
+    """Reason and detail of a plan beyond its lateral bound."""
+    if kept.bound == ROAD:
+        return "off_the_road", f"its plan comes within {kept.margin_m:.2f} m of the road's edge"
+    most = kept.excursion_m + kept.margin_m
+    detail = f"its plan leaves the recorded path by {kept.excursion_m:.2f} m, more than {most:.2f} m"
+    return "off_the_path", detail
 
 
 def _undrivable_text(undrivable: Undrivable) -> str:

@@ -234,6 +234,24 @@ class Recording:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class LateralBound:
+    """How far a vehicle of traffic may leave its recorded path sideways, map or corridor frame.
+
+    `path_m` (P, 2) is the path, straight on beyond its ends. To its left and right at each point,
+    `edge_m` (P, 2) is how far away the road's edge is, within which the box has to stay, and `offset_m`
+    (P, 2) how far the centre may be from the path; NaN where the other of the two holds. `lateral_m` is
+    the offset where nothing tells of the road. `off_road_m` is how far the recorded box itself is
+    beyond the edge.
+    """
+
+    path_m: FloatArray
+    edge_m: FloatArray
+    offset_m: FloatArray
+    lateral_m: float
+    off_road_m: float = 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Participant:
     """A vehicle that takes part in units first_unit .. first_unit + units - 1 of a window."""
 
@@ -245,8 +263,9 @@ class Participant:
     start: StartState
     recording: Recording
     lane_m: FloatArray | None = None  # (P, 2) of its intent, corridor frame
-    approach: FloatArray | None = None  # (P, 3) path that led to a start handed over by the plan before
+    approach: FloatArray | None = None  # (P, 3) recorded path before a start that was handed over
     dimensions_source: str = "log"  # log, config or default
+    lateral: LateralBound | None = None  # in traffic
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -448,6 +467,25 @@ class WindowStatus(StrEnum):
 
 
 @dataclass(frozen=True, slots=True)
+class Lateral:
+    """How a plan of traffic keeps its lateral bound.
+
+    `bounds` are what holds somewhere along its path: road, path, recording (which is itself at the
+    road's edge). `excursion_m` is the largest distance of the centre from the recorded path,
+    `margin_m` the least room left, and `bound` what bounds it there. `off_road_m` is how far the
+    recorded box is beyond the road's edge; `sample` is the number of the pose of the least margin.
+    """
+
+    vehicle_id: str
+    bounds: tuple[str, ...]
+    excursion_m: float
+    margin_m: float
+    bound: str
+    off_road_m: float = 0.0
+    sample: int = 0
+
+
+@dataclass(frozen=True, slots=True)
 class WindowPlan:
     """A window's whole result before it is certified.
 
@@ -468,6 +506,7 @@ class WindowPlan:
     frozen: tuple[Exclusion, ...] = ()
     vehicle_gap_m: float | None = None
     obstacle_gap_m: float | None = None
+    lateral: tuple[Lateral, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

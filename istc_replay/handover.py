@@ -25,16 +25,12 @@ _INSTANT_S = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Handed:
-    """A planned vehicle at the instant at which it is handed over, map frame.
-
-    `pose` (3,) of its box centre; `path` (P, 3) are the poses of the guidance that led there.
-    """
+    """A planned vehicle when it is handed over, map frame: `pose` (3,) of its box centre."""
 
     pose: FloatArray
     speed_mps: float
     steering_rad: float
     acceleration_mps2: float
-    path: FloatArray
 
     def start(self, frame: Frame, heading_rad: float) -> StartState:
         """The start in a corridor frame, its heading within half a turn of the given one."""
@@ -42,32 +38,21 @@ class Handed:
         heading = heading_rad + float(wrap_angle(self.pose[2] - frame.yaw_rad - heading_rad))
         return StartState(x, y, heading, self.speed_mps, self.steering_rad, self.acceleration_mps2)
 
-    def approach(self, frame: Frame, heading_rad: float) -> FloatArray:
-        """The path (P, 3) in a corridor frame, its last heading within half a turn of the given one."""
-        headings = np.unwrap(self.path[:, 2] - frame.yaw_rad)
-        headings += 2.0 * np.pi * np.round((heading_rad - headings[-1]) / (2.0 * np.pi))
-        return read_only(np.column_stack([to_frame(self.path[:, :2], frame), headings]))
-
 
 def handed_over(before: WindowPlan | None, start_ns: int) -> dict[str, Handed]:
     """Where the vehicles of a certified plan are at an instant; nobody of any other plan."""
     if before is None or before.status not in (WindowStatus.CERTIFIED, WindowStatus.PARTIAL):
         return {}
     frame, at_s = before.scenario.window.frame, (start_ns - before.scenario.window.start_ns) / NS_PER_S
-    guidance = {guide.vehicle_id: guide for guide in before.guidance}
     found = {}
     for trajectory in before.trajectories:
-        guide = guidance.get(trajectory.vehicle_id)
         state = state_at(trajectory, at_s)
-        if guide is None or state is None:
+        if state is None:
             continue
         x, y, heading, steering, speed, acceleration = state
         centre = shift_along(x, y, heading, trajectory.dimensions.rear_axle_to_centre_m)
-        until = max(2, int(np.searchsorted(guide.times_s, at_s + _INSTANT_S)))
-        poses = guide.poses[:until]
-        path = np.column_stack([to_map(poses[:, :2], frame), poses[:, 2] + frame.yaw_rad])
         pose = read_only([*to_map(centre, frame), heading + frame.yaw_rad])
-        found[trajectory.vehicle_id] = Handed(pose, speed, steering, acceleration, read_only(path))
+        found[trajectory.vehicle_id] = Handed(pose, speed, steering, acceleration)
     return found
 
 

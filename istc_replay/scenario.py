@@ -11,7 +11,9 @@ import numpy as np
 from istc_replay.datatypes import (
     Dimensions,
     Exclusion,
+    FloatArray,
     Frame,
+    LateralBound,
     Log,
     MapBounds,
     Obstacle,
@@ -26,6 +28,7 @@ from istc_replay.datatypes import (
 )
 from istc_replay.geometry import box_corners, rotate, to_frame
 from istc_replay.handover import Handed
+from istc_replay.lateral import in_frame, lateral_bound
 from istc_replay.road_frame import Body, conflicts, least_boxes, road_yaw
 from istc_replay.tracks import RoadUser, UsableTrack, road_users, swept_boxes, usable_track
 from istc_replay.units import seconds_to_ns
@@ -35,6 +38,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
     from istc_replay.config import Config, VehiclesConfig
+    from istc_replay.road import Road
 
 #: Reasons of exclusion that tell of a road user whose motion is well known.
 AS_RECORDED = ("not_a_vehicle", "uncooperative")
@@ -95,6 +99,7 @@ class _Builder:
     handed: Mapping[str, Handed]
     usable: dict[str, UsableTrack] = field(default_factory=dict)
     excluded: dict[str, Exclusion] = field(default_factory=dict)
+    road: Road | None = None
 
     @classmethod
     def of(
@@ -183,7 +188,7 @@ class _Builder:
 
     def scenario(self) -> Scenario:
         """The scenario of the window."""
-        window = self.window
+        window, self.road = self.window, self.part.road
         participants = tuple(self.participant(vehicle_id) for vehicle_id in self.usable)
         moving = (self.obstacle(vehicle_id) for vehicle_id in self.users)
         return Scenario(
@@ -230,7 +235,7 @@ class _Builder:
         before = self.handed.get(vehicle_id) if usable.first_unit == 0 else None
         if before is not None:
             start = before.start(self.window.frame, heading)
-            approach = before.approach(self.window.frame, heading)
+            approach = self.approach(vehicle_id, heading)
         return Participant(
             vehicle_id=vehicle_id,
             dimensions=dimensions,
@@ -242,7 +247,21 @@ class _Builder:
             lane_m=None if lane is None else read_only(to_frame(lane.points_m, self.window.frame), columns=2),
             dimensions_source=source,
             approach=approach,
+            lateral=self.lateral(vehicle_id, dimensions) if self.part.traffic else None,
         )
+
+    def approach(self, vehicle_id: str, heading_rad: float) -> FloatArray:
+        """The recorded path (P, 3) up to the window's start; its last heading is near that given."""
+        times, poses = self.users[vehicle_id].in_frame(self.window)
+        poses = poses[: max(1, int(np.searchsorted(times, 0.0, side="right")))]
+        turns = np.round((heading_rad - poses[-1, 2]) / (2.0 * np.pi))
+        return read_only(poses + [0.0, 0.0, 2.0 * np.pi * turns])
+
+    def lateral(self, vehicle_id: str, size: Dimensions) -> LateralBound:
+        """How far it may leave its recorded path sideways."""
+        box, settings = (size.length_m, size.width_m), self.config.corridors
+        bound = lateral_bound(self.users[vehicle_id].poses, box, self.road, settings.lateral_m)
+        return in_frame(bound, self.window.frame)
 
 
 def _natural(vehicle_id: str) -> tuple[int, str]:

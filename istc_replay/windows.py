@@ -10,6 +10,7 @@ import polars as pl
 
 from istc_replay.datatypes import Log, StaticScene
 from istc_replay.errors import ScenarioError
+from istc_replay.road import Road, scene_near
 from istc_replay.units import NS_PER_S, seconds_to_ns
 
 if TYPE_CHECKING:
@@ -32,6 +33,8 @@ TRAFFIC_LIMITS = {
 }
 #: States this far outside a window still tell the state at its ends.
 _MARGIN_S = 1.0
+#: Of windows that are handed over so long before too.
+_BEHIND_S = 20.0
 #: No log is cut into more windows than this.
 _MOST_WINDOWS = 1_000_000
 
@@ -52,6 +55,11 @@ class LogPart:
     scene: StaticScene
     traffic: bool
     parked: frozenset[str]
+
+    @property
+    def road(self) -> Road | None:
+        """What is told of the road about the window."""
+        return Road.of(self.scene)
 
 
 def check_states(log: Log) -> None:
@@ -163,12 +171,15 @@ def log_parts(log: Log, config: Config, indices: Iterable[int] | None = None) ->
     ordered = log.states.with_row_index("_place").sort("time_ns", maintain_order=True)
     times = ordered["time_ns"].to_numpy()
     margin = seconds_to_ns(_MARGIN_S)
+    # Who was handed over may be far behind its recording: the path that it follows is told too.
+    behind = seconds_to_ns(_BEHIND_S) if config.window.start == "handed_over" else margin
     for index in wanted:
         start_ns, length_ns, _ = spans[index]
-        first = int(np.searchsorted(times, start_ns - margin, side="left"))
+        first = int(np.searchsorted(times, start_ns - behind, side="left"))
         end = int(np.searchsorted(times, start_ns + length_ns + margin, side="right"))
         states = ordered.slice(first, end - first).sort("_place").drop("_place")
-        yield LogPart(spans[index], states, log.scene, traffic, parked)
+        near = scene_near(log.scene, states.select("x_m", "y_m").to_numpy())
+        yield LogPart(spans[index], states, near, traffic, parked)
 
 
 def _parked(states: pl.DataFrame, config: WindowConfig) -> frozenset[str]:

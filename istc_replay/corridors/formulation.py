@@ -17,6 +17,7 @@ from istc_replay.corridors.problem import CONSTANT, Block, CorridorProblem, IntA
 from istc_replay.corridors.separations import all_separations
 from istc_replay.datatypes import FloatArray, read_only
 from istc_replay.geometry import box_corners
+from istc_replay.lateral import centre_reach_m
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -29,8 +30,8 @@ DECISIVE_M = 1e-9
 _STANDING_M = 1e-6
 #: A pivotal step may go sideways by this share even where the car hardly turns.
 _LEAST_CONE = 0.03
-#: Layer 1 may use this share of the sideways room: the motion between pivotal points needs some too.
-_LATERAL_SHARE = 0.8
+#: Layer 1 may use this share of the sideways room, or all but the second [m]: layer 2 needs some too.
+_LATERAL_SHARE, _LATERAL_ROOM_M = 0.8, 0.3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -90,8 +91,10 @@ def build_problem(
         block = make_block(participant, guide, slack, offset)
         own = limits[block.vehicle_id]
         steps = make_steps(guide, own, reach_m, unit_s, participant.start.speed_mps)
+        if participant.lateral is not None:
+            reach = centre_reach_m(participant.lateral, participant.dimensions.width_m)
+            rows.append(lateral_rows(block, guide, participant.lateral.path_m, reach, own.room_m))
         if guide.slack_rad is not None:
-            rows.append(lateral_rows(block, guide, config.lateral_m * _LATERAL_SHARE))
             steps = replace(steps, cone=np.minimum(_narrow_cone(guide.slack_rad, own.tightness), own.cone))
         tube = tube_m(block, steps.along, (config.backward_m, reach_m, config.sideways_m))
         rows += [overlap_rows(block), range_rows(block, tube), step_rows(block, steps)]
@@ -265,17 +268,34 @@ def step_rows(block: Block, steps: Steps) -> Rows:
     return Rows.join(parts)
 
 
-def lateral_rows(block: Block, guide: Guidance, lateral_m: float) -> Rows:
-    """Keep pivotal points beside the path of the guidance, across its heading at each unit.
+def lateral_rows(
+    block: Block, guide: Guidance, path_m: FloatArray, reach_m: FloatArray, room_m: float = 0.0
+) -> Rows:
+    """Keep pivotal points beside the recorded path, across the guidance's heading at each unit.
 
     Where the path bends, the rows give way by as much as the path itself leaves its tangent: a car
     that is early or late is elsewhere on the path.
+
+    Parameters
+    ----------
+    block, guide
+        The vehicle, and the frames of its units.
+    path_m : (P, 2) array
+        Its recorded path.
+    reach_m : (P, 2) array
+        How far its centre may be to the left and right of the path.
+    room_m : float
+        What more is left to layer 2.
     """
     headings = guide.headings_rad[1:]
     normal = np.stack([-np.sin(headings), np.cos(headings)], axis=-1)  # (K, 2)
     offset = np.einsum("ij,ij->i", normal, guide.points_m[1:])
-    path = guide.poses[:, :2] @ normal.T - offset  # (S, K)
-    low, high = np.minimum(path.min(axis=0), 0.0) - lateral_m, np.maximum(path.max(axis=0), 0.0) + lateral_m
+    path = path_m @ normal.T - offset  # (P, K)
+    least_room = np.minimum((1.0 - _LATERAL_SHARE) * reach_m, _LATERAL_ROOM_M)
+    reach = np.maximum(reach_m - least_room - room_m, 0.0)[..., None]  # (P, 2, 1)
+    low, high = (path - reach[:, 1]).min(axis=0), (path + reach[:, 0]).max(axis=0)
+    # What the guidance itself does is allowed.
+    low, high = np.minimum(low, 0.0), np.maximum(high, 0.0)
     return Rows.of("lateral bound", block.pivot[1:], normal, low + offset, high + offset)
 
 

@@ -44,6 +44,7 @@ class Limits:
     deceleration_mps2: float
     lateral_acceleration_mps2: float
     tightness: float = 1.0  # 1 where nothing was tightened
+    room_m: float = 0.0  # left to layer 2 beside the path, more than it always is
 
     def tightened(self, factor: float = 0.7) -> Limits:
         """Return limits that leave more to layer 2."""
@@ -53,6 +54,7 @@ class Limits:
             self.deceleration_mps2 * factor,
             self.lateral_acceleration_mps2 * factor,
             self.tightness * factor,
+            self.room_m,
         )
 
 

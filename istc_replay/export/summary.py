@@ -22,6 +22,7 @@ if TYPE_CHECKING:
     from istc_replay.datatypes import (
         Certificate,
         Change,
+        Lateral,
         Log,
         Participant,
         RecordedGap,
@@ -121,6 +122,7 @@ def window_figures(outcome: WindowOutcome) -> dict[str, Any]:
         "index": window.index,
         "start_ns": window.start_ns,
         "end_ns": window.end_ns,
+        "rules": "traffic" if scenario.traffic else "scene",
         "unit_s": window.unit_s,
         "units": window.units,
         "frame": {"x_m": window.frame.x_m, "y_m": window.frame.y_m, "yaw_rad": window.frame.yaw_rad},
@@ -208,6 +210,7 @@ def _vehicles(
     trajectories = {t.vehicle_id: t for t in plan.trajectories}
     changed = {change.vehicle_id: asdict(change) for change in changes}
     compared = {row["vehicle_id"]: row for row in against_plan}
+    beside = {kept.vehicle_id: kept for kept in plan.lateral}
     rows = []
     for participant in scenario.participants:
         row = _vehicle(participant)
@@ -216,6 +219,8 @@ def _vehicles(
         row["recorded_against_plan"] = told or None
         change = changed.get(participant.vehicle_id)
         row["coordination"] = change and {key: change[key] for key in change if key != "vehicle_id"}
+        kept = beside.get(participant.vehicle_id)
+        row["lateral"] = kept and _lateral(kept)
         guide = guidance.get(participant.vehicle_id)
         row["guidance"] = None if guide is None else guide.kind
         corridor = corridors.get(participant.vehicle_id)
@@ -230,6 +235,17 @@ def _vehicles(
             row |= _motion(participant, trajectory)
         rows.append(row)
     return rows
+
+
+def _lateral(kept: Lateral) -> dict[str, Any]:
+    """How a plan keeps its lateral bound."""
+    return {
+        "bounds": list(kept.bounds),
+        "excursion_m": kept.excursion_m,
+        "margin_m": kept.margin_m,
+        "bound": kept.bound,
+        "recorded_off_road_m": kept.off_road_m,
+    }
 
 
 def _vehicle(participant: Participant) -> dict[str, Any]:

@@ -13,6 +13,7 @@
 | dynamics | the knots are those of the re-integrated bicycle, eq. (17) |
 | limits | steering, speed, acceleration and their rates keep eq. (18) |
 | in_corridor | the moving box stays in its cubes, eq. (19), in continuous time |
+| lateral | in traffic, the moving box stays on the road, or near the recorded path |
 | separation | moving boxes stay apart in continuous time, whatever the cubes |
 | obstacle_separation | moving boxes stay clear of obstacles |
 
@@ -29,6 +30,7 @@ from istc_replay.config import Config
 from istc_replay.datatypes import Certificate, Result, StaticScene, Verdict
 from istc_replay.safety.case import build_case, listing
 from istc_replay.safety.cube_checks import cubes_disjoint, cubes_overlap, in_bounds, obstacles_clear
+from istc_replay.safety.lateral_check import lateral_kept
 from istc_replay.safety.motion_checks import (
     dynamics,
     in_corridor,
@@ -53,6 +55,7 @@ _CHECKS = {
     "dynamics": dynamics,
     "limits": limits,
     "in_corridor": in_corridor,
+    "lateral": lateral_kept,
     "separation": separation,
     "obstacle_separation": obstacle_separation,
 }

@@ -75,7 +75,8 @@ class VehiclePlan:
 class WrittenPlan:
     """What one window's plan says: sound cubes and trajectories by vehicle, obstacles, faults.
 
-    `as_recorded` names the road users that should be among the obstacles.
+    `as_recorded` names the road users that should be among the obstacles. `traffic` says by which rules
+    it was planned.
 
     The gaps are those that it promises [m], None where it is silent. `handed_over` vehicles promise
     to start where the plan of the window before, `before`, has led them.
@@ -87,6 +88,7 @@ class WrittenPlan:
     frame: Frame
     vehicles: tuple[str, ...]
     as_recorded: tuple[str, ...] = ()
+    traffic: bool = False
     vehicle_gap_m: float | None = None
     obstacle_gap_m: float | None = None
     handed_over: frozenset[str] = frozenset()
@@ -158,6 +160,7 @@ def _written_plan(
         frame=frame,
         vehicles=tuple(sorted({*cube_rows, *state_rows, *listed})),
         as_recorded=_as_recorded(entry),
+        traffic=entry.get("rules") == "traffic",
         vehicle_gap_m=_gap(entry.get("vehicle_gap_m")),
         obstacle_gap_m=_gap(entry.get("obstacle_gap_m")),
         handed_over=frozenset(name for name, told in listed.items() if told.get("start") == "handed_over"),

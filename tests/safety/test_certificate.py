@@ -85,6 +85,7 @@ def test_a_good_plan_passes_every_check(good: Result) -> None:
     # The scene itself has no obstacle that the plan could have left out.
     assert checks.pop("obstacles_known").verdict == NOT_APPLICABLE
     assert checks.pop("seam").verdict == NOT_APPLICABLE  # nothing was handed over
+    assert checks.pop("lateral").verdict == NOT_APPLICABLE  # a scene
     assert {check.verdict for check in checks.values()} == {PASS}
     assert overall(checks.values()) == PASS
     assert checks["dynamics"].margin == pytest.approx(0.05, abs=1e-7)
@@ -95,7 +96,7 @@ def test_a_good_plan_passes_every_check(good: Result) -> None:
 def test_a_single_vehicle_has_no_pair_and_no_obstacle(kit: SimpleNamespace) -> None:
     checks = judge(kit.Scene([kit.straight_car("a", 0, 0, 0.3, 5.0, 10)]).result())
     absent = {name for name, check in checks.items() if check.verdict == NOT_APPLICABLE}
-    pairs = {"cubes_disjoint", "separation", "seam"}
+    pairs = {"cubes_disjoint", "separation", "seam", "lateral"}
     assert absent == pairs | {"obstacles_clear", "obstacles_known", "obstacle_separation", "in_bounds"}
     assert overall(checks.values()) == PASS
 

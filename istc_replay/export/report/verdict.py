@@ -24,6 +24,7 @@ CHECKS = {
     "separation": "no two planned boxes touch at any instant",
     "obstacle_separation": "no planned box touches an obstacle at any instant",
     "seam": "each plan that was handed over starts where the one before has led",
+    "lateral": "in recorded traffic, each box stays on the road, or near its recorded path",
     "start": "each plan starts where its vehicle was recorded",
 }
 

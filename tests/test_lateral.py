@@ -1,0 +1,264 @@
+"""How far plans of recorded traffic go sideways: to the road's edge, else from the recorded path."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import polars as pl
+import pytest
+import shapely
+
+from istc_replay.config import Config, parse_config
+from istc_replay.coordinate import Planners, plan_part
+from istc_replay.datatypes import LaneLine, Log, RoadEdge, StaticScene, Verdict, WindowPlan, read_only
+from istc_replay.geometry import box_corners
+from istc_replay.lateral import PATH, RECORDING, ROAD, kinds, lateral, lateral_bound
+from istc_replay.pipeline.replay import Replay, replay_read
+from istc_replay.polyline import beside
+from istc_replay.road import Road
+from istc_replay.safety.certificate import certify
+from istc_replay.states import STATES_SCHEMA, conform
+from istc_replay.windows import log_parts, settled_config
+
+FAST = Config.model_validate({"corridors": {"mode": "fast"}})
+BOX = (4.5, 1.8)
+
+
+def driver(
+    vehicle_id: str, lane_m: Any = 0.0, ahead_m: float = 0.0, speed_mps: float = 12.0, seconds: float = 4.0
+) -> pl.DataFrame:
+    """A car on a straight road to the east."""
+    times = np.arange(round(seconds * 10) + 1) / 10.0
+    y = np.broadcast_to(np.asarray(lane_m, dtype=np.float64), times.shape)
+    values = {
+        "vehicle_id": [vehicle_id] * len(times),
+        "time_ns": np.round(times * 1e9).astype(np.int64),
+        "x_m": ahead_m + speed_mps * times,
+        "y_m": y,
+        "heading_rad": np.arctan2(np.gradient(y, times), speed_mps),
+        "speed_mps": np.full(len(times), speed_mps),
+        "length_m": np.full(len(times), BOX[0]),
+        "width_m": np.full(len(times), BOX[1]),
+        "role": ["vehicle"] * len(times),
+    }
+    return conform(pl.DataFrame(values), STATES_SCHEMA)
+
+
+def straight(name: str, left_m: float, right_m: float, last_m: float = 200.0) -> LaneLine:
+    """A lane to the east between two lines."""
+    line = np.array([[-50.0, 0.0], [60.0, 0.0], [last_m, 0.0]])
+    sides = (read_only(beside(line, left_m)), read_only(beside(line, right_m)))
+    return LaneLine(name, read_only(beside(line, (left_m + right_m) / 2.0)), None, *sides)
+
+
+def log_of(tracks: Iterable[pl.DataFrame], *lanes: LaneLine, edges: tuple[RoadEdge, ...] = ()) -> Log:
+    """A log of field data on a road."""
+    scene = StaticScene(lanes, road_edges=edges)
+    return Log("road.mcap", "0" * 64, True, 0, 0, 0, 0, 0, 0, (), pl.concat(list(tracks)), scene, ())
+
+
+#: A fast car that catches up with a slow one, which is 0.9 m to its right.
+PRESSED = (driver("1", 0.0, 0.0, 13.0), driver("2", -0.9, 9.0, 10.0))
+
+
+def window_of(log: Log, config: Config = FAST) -> tuple[Replay, dict[str, Any]]:
+    """The replay of a log and its one window."""
+    done = replay_read(log, config)
+    (window,) = done.summary["windows"]
+    return done, window
+
+
+def boxes_of(done: Replay) -> dict[str, list[shapely.Polygon]]:
+    """Planned boxes in the map frame, from the written states."""
+    planned = done.result.states.filter(pl.col("source") == "planned")
+    found = {}
+    for (name,), rows in planned.partition_by("vehicle_id", as_dict=True).items():
+        poses = rows.select("x_m", "y_m", "heading_rad").to_numpy()
+        found[str(name)] = [shapely.Polygon(c) for c in box_corners(*poses.T, *BOX)]
+    return found
+
+
+def told(window: dict[str, Any]) -> dict[str, dict[str, Any]]:
+    """What the summary tells of each vehicle's bound."""
+    return {vehicle["id"]: vehicle["lateral"] for vehicle in window["vehicles"]}
+
+
+def check_of(window: dict[str, Any]) -> dict[str, Any]:
+    """The certificate's check of the bound."""
+    found: dict[str, Any] = next(c for c in window["certificate"]["checks"] if c["check"] == "lateral")
+    return found
+
+
+def test_a_plan_pressed_against_the_edge_stays_on_the_road() -> None:
+    # Without a road the fast car swerves farther than the road would let it.
+    free, window = window_of(log_of(PRESSED))
+    most = max(box.bounds[3] for box in boxes_of(free)["1"])
+    assert window["status"] == "certified"
+    assert told(window)["1"]["bounds"] == [PATH]
+    edge = most - 0.25
+    done, window = window_of(log_of(PRESSED, straight("1", edge, -4.0)))
+    assert window["status"] == "certified"
+    road = shapely.box(-60.0, -4.0, 210.0, edge)
+    boxes = boxes_of(done)
+    assert max(box.bounds[3] for box in boxes["1"]) > 0.9 + 0.05  # it does give way
+    assert all(road.contains(box) for name in boxes for box in boxes[name])
+    kept, check = told(window)["1"], check_of(window)
+    assert (kept["bounds"], kept["bound"], kept["recorded_off_road_m"]) == ([ROAD], ROAD, 0.0)
+    assert 0.0 <= kept["margin_m"] < 0.4
+    assert check["verdict"] == "pass"
+    assert check["margin"] == pytest.approx(
+        min(each["margin_m"] for each in told(window).values()), abs=0.005
+    )
+    assert "on the road's side of its edge" in check["detail"]
+
+
+def test_a_car_that_has_no_room_on_the_road_stays_as_recorded_and_is_named() -> None:
+    config = FAST.model_copy(
+        update={"trajectories": FAST.trajectories.model_copy(update={"feedback_rounds": 0})}
+    )
+    plan = plan_of(log_of((driver("1"),)), config)
+    rounds = [kept.margin_m for kept in plan.lateral]
+    assert rounds == pytest.approx([1.5], abs=0.03)
+    # The lane is narrower than what the pair needs to pass each other.
+    _, window = window_of(log_of(PRESSED, straight("1", 1.05, -1.95)))
+    assert window["status"] in ("certified", "partial")
+    assert all(each["reason"] in ("no_relation", "off_the_road", "no_corridor") for each in window["frozen"])
+    assert check_of(window)["verdict"] in ("pass", "not_applicable")
+
+
+def test_a_recording_off_the_road_has_a_named_fallback() -> None:
+    # It cuts 0.6 m across the kerb between 10 and 30 m.
+    times = np.arange(41) / 10.0
+    swerve = 1.6 * np.exp(-(((12.0 * times - 24.0) / 10.0) ** 2))
+    _, window = window_of(log_of((driver("1", swerve), driver("2", -4.0, 3.0)), straight("a", 1.9, -6.0)))
+    assert window["status"] == "certified"
+    one, two = told(window)["1"], told(window)["2"]
+    assert (one["bounds"], two["bounds"]) == ([ROAD, RECORDING], [ROAD])
+    assert one["recorded_off_road_m"] == pytest.approx(0.6, abs=0.1)
+    assert two["recorded_off_road_m"] == 0.0
+    assert window["vehicles_certified"] == 2
+
+
+def test_where_the_road_is_not_told_the_path_bounds() -> None:
+    _, window = window_of(log_of((driver("1"), driver("2", 3.5, 4.0)), straight("a", 2.0, -2.0, 61.0)))
+    assert told(window)["1"]["bounds"] == [ROAD]
+    assert told(window)["2"]["bounds"] == [PATH]
+    _, window = window_of(log_of((driver("1", seconds=6.0),), straight("a", 2.0, -2.0, 61.0)))
+    assert told(window)["1"]["bounds"] == [ROAD, PATH]
+
+
+def test_an_edge_alone_bounds_its_own_side() -> None:
+    kerb = RoadEdge("kerb", read_only([[-50.0, 1.3], [200.0, 1.3]]))
+    path = np.column_stack([np.arange(20.0), np.zeros((20, 2))])
+    road = Road.of(StaticScene(road_edges=(kerb,)))
+    bound = lateral_bound(path, BOX, road, 1.5)
+    assert kinds(bound) == (ROAD, PATH)
+
+    def margin(y: float) -> tuple[float, str]:
+        kept = lateral("1", bound, path + [0.0, y, 0.0], BOX)
+        return kept.margin_m, kept.bound
+
+    assert margin(0.1) == (pytest.approx(0.3), ROAD)
+    assert margin(-1.4) == (pytest.approx(0.1), PATH)
+    assert margin(1.0) == (pytest.approx(-0.6), ROAD)
+    turned = lateral("1", bound, path + [0.0, 0.0, 0.2], BOX)  # its corner is nearer than its side
+    corner = 0.9 * np.cos(0.2) + 2.25 * np.sin(0.2)
+    assert turned.margin_m == pytest.approx(1.3 - corner)
+
+
+@pytest.mark.parametrize(("angle_deg", "shift_m"), [(37.0, (4e3, -9e3)), (-121.0, (1e6, 5e6))])
+def test_a_turned_and_shifted_log_with_its_lanes_has_the_same_plan(
+    angle_deg: float, shift_m: tuple[float, float]
+) -> None:
+    kerb = RoadEdge("kerb", read_only([[-50.0, -2.6], [200.0, -2.6]]))
+    log = log_of(PRESSED, straight("a", 1.75, -4.0), edges=(kerb,))
+    angle, shift = np.radians(angle_deg), np.array(shift_m)
+    c, s = np.cos(angle), np.sin(angle)
+    turn = np.array([[c, -s], [s, c]])
+
+    def moved(points: np.ndarray | None) -> Any:
+        return None if points is None else read_only(points @ turn.T + shift)
+
+    x, y = pl.col("x_m"), pl.col("y_m")
+    states = log.states.with_columns(
+        x_m=c * x - s * y + shift[0], y_m=s * x + c * y + shift[1], heading_rad=pl.col("heading_rad") + angle
+    )
+    lanes = tuple(
+        replace(each, points_m=moved(each.points_m), left_m=moved(each.left_m), right_m=moved(each.right_m))
+        for each in log.scene.lane_lines
+    )
+    edges = tuple(replace(edge, points_m=moved(edge.points_m)) for edge in log.scene.road_edges)
+    other = replace(log, states=states, scene=StaticScene(lanes, road_edges=edges))
+    plans = [plan_of(each) for each in (log, other)]
+    motions = [map_motion(plan) for plan in plans]
+    assert motions[0].keys() == motions[1].keys() == {"1", "2"}
+    for name, motion in motions[0].items():
+        np.testing.assert_allclose(motions[1][name], motion @ turn.T + shift, atol=0.02)
+    for one, two in zip(plans[0].lateral, plans[1].lateral, strict=True):
+        assert (one.bounds, one.bound) == (two.bounds, two.bound)
+        assert one.margin_m == pytest.approx(two.margin_m, abs=0.01)
+
+
+def test_the_certificate_refuses_a_plan_across_the_edge() -> None:
+    done, window = window_of(log_of((driver("1"), driver("2", 8.0)), straight("a", 1.2, -6.0)))
+    assert check_of(window)["verdict"] == "pass"
+    assert check_of(window)["margin"] == pytest.approx(0.3, abs=0.03)
+    planned = pl.col("source") == "planned"
+    states = done.result.states.with_columns(
+        y_m=pl.when(planned & (pl.col("vehicle_id") == "1"))
+        .then(pl.col("y_m") + 0.4)
+        .otherwise(pl.col("y_m"))
+    )
+    judged = certify(replace(done.result, states=states), FAST)
+    (check,) = (each for each in judged if each.check == "lateral")
+    assert (check.verdict, check.vehicles) == (Verdict.FAIL, ("1",))
+    assert check.margin == pytest.approx(-0.1, abs=0.03)
+    # Off the road altogether, and where nobody was recorded.
+    for column, value, verdict in (("y_m", 30.0, Verdict.FAIL), ("vehicle_id", None, Verdict.INCONCLUSIVE)):
+        rows = planned if column == "y_m" else ~planned
+        lost = done.result.states.with_columns(
+            pl.when(rows & (pl.col("vehicle_id") == "1"))
+            .then(pl.lit(value))
+            .otherwise(pl.col(column))
+            .alias(column)
+        )
+        judged = certify(replace(done.result, states=lost), FAST)
+        assert next(each for each in judged if each.check == "lateral").verdict is verdict
+
+
+def test_a_handed_over_plan_is_measured_from_the_recorded_path() -> None:
+    # The faster car swerves in the first window, and starts beside its recorded path in the second.
+    config = parse_config(
+        'corridors.mode = "fast"\n'
+        'window = { horizon_s = 3.0, stride_s = 3.0, unit_s = 0.5, start = "handed_over" }'
+    )
+    pair = driver("1", seconds=6.0), driver("2", -1.7, 11.0, 10.6, 5.9)
+    done = replay_read(log_of(pair, straight("a", 3.0, -4.0)), config)
+    first, second = done.summary["windows"]
+    assert second["vehicles"][0]["start"] == "handed_over"
+    planned = done.result.states.filter((pl.col("source") == "planned") & (pl.col("vehicle_id") == "1"))
+    for window in (first, second):
+        own = planned.filter(pl.col("window") == window["index"])
+        away = float(own["y_m"].abs().max())  # type: ignore[arg-type]
+        assert told(window)["1"]["excursion_m"] == pytest.approx(away, abs=0.03)
+        assert check_of(window)["verdict"] == "pass"
+    start = float(planned.filter(pl.col("window") == 1).sort("time_ns")["y_m"][0])
+    assert start > 0.2
+    assert told(second)["1"]["excursion_m"] >= start - 0.03
+
+
+def plan_of(log: Log, config: Config = FAST) -> WindowPlan:
+    """The plan of the log's first window."""
+    settled = settled_config(log, config)
+    return plan_part(next(log_parts(log, settled)), settled, Planners(settled))
+
+
+def map_motion(plan: WindowPlan) -> dict[str, np.ndarray]:
+    """Planned rear axles (S, 2) in the map frame."""
+    frame = plan.scenario.window.frame
+    c, s = np.cos(frame.yaw_rad), np.sin(frame.yaw_rad)
+    turn = np.array([[c, -s], [s, c]])
+    return {t.vehicle_id: t.states[:, :2] @ turn.T + (frame.x_m, frame.y_m) for t in plan.trajectories}
