@@ -27,6 +27,8 @@ _POSE = ("x_m", "y_m", "heading_rad")
 _SIZES = ("length_m", "width_m", "wheelbase_m", "rear_axle_to_centre_m")
 #: Backing up faster than this is driving in reverse, which eq. (18) does not know.
 _REVERSING_MPS = -0.5
+#: Rounding in times [s].
+_INSTANT_S = 1e-9
 #: A turn is measured over this much way [m].
 _TURN_OVER_M = 2.0
 
@@ -229,15 +231,22 @@ def swept_boxes(
     Where it is recorded on both sides of a unit's boundary its pose there is interpolated.
     """
     boundaries = np.arange(window.units + 1) * window.unit_s
-    inside = boundaries[(boundaries >= times_s[0] - 1e-9) & (boundaries <= times_s[-1] + 1e-9)]
+    known = (boundaries >= times_s[0] - _INSTANT_S) & (boundaries <= times_s[-1] + _INSTANT_S)
+    inside = boundaries[known]
     at = np.union1d(times_s, inside)
     sampled = np.stack([np.interp(at, times_s, column) for column in poses.T], axis=-1)
     corners = box_corners(sampled[:, 0], sampled[:, 1], sampled[:, 2], *size_m)  # (S, 4, 2)
+    # A unit is swept by the samples from its start to its end, if there is more than an instant of them.
+    first = np.searchsorted(at, boundaries[:-1] - _INSTANT_S)
+    end = np.searchsorted(at, boundaries[1:] + _INSTANT_S, side="right")
+    last = np.searchsorted(at, boundaries[1:] - _INSTANT_S)  # those before the unit's end
+    after = np.searchsorted(at, boundaries[:-1] + _INSTANT_S, side="right")  # those past its start
+    swept = np.flatnonzero((end - first >= 2) | (last > after))
     boxes = np.full((window.units, 4), np.nan)
-    for unit in range(window.units):
-        within = (at >= boundaries[unit] - 1e-9) & (at <= boundaries[unit + 1] + 1e-9)
-        touching = within & ((at < boundaries[unit + 1] - 1e-9) | (at > boundaries[unit] + 1e-9))
-        if touching.sum() >= 2 or (within & (at > boundaries[unit]) & (at < boundaries[unit + 1])).any():
-            swept = corners[within].reshape(-1, 2)
-            boxes[unit] = swept[:, 0].min(), swept[:, 0].max(), swept[:, 1].min(), swept[:, 1].max()
+    if swept.size:
+        spans = np.stack([first[swept], np.minimum(end[swept], len(at))], axis=-1).ravel()
+        low, high = corners.min(axis=1), corners.max(axis=1)  # (S, 2)
+        padded = [np.vstack([side, side[-1:]]) for side in (low, high)]  # reduceat wants ends in range
+        boxes[swept, 0::2] = np.minimum.reduceat(padded[0], spans)[::2]
+        boxes[swept, 1::2] = np.maximum.reduceat(padded[1], spans)[::2]
     return read_only(boxes)

@@ -291,7 +291,14 @@ def _times(rows: pl.DataFrame, name: str, start_ns: int) -> IntArray:
 
 def _values(rows: pl.DataFrame, names: list[str]) -> FloatArray:
     """(n, len(names)) float64; null becomes NaN."""
-    return np.column_stack([rows[name].cast(pl.Float64).fill_null(float("nan")).to_numpy() for name in names])
+    return np.column_stack([_floats(rows[name]) for name in names])
+
+
+def _floats(column: pl.Series) -> FloatArray:
+    """Values (n,) of a column; null becomes NaN."""
+    # Polars' own way to NaN costs a query a column, and there are many small ones.
+    wide = column if column.dtype == pl.Float64 else column.cast(pl.Float64)
+    return np.asarray(wide.to_numpy(), dtype=np.float64)
 
 
 def _span(corridors: pl.DataFrame, states: pl.DataFrame) -> tuple[int, int]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import polars as pl
@@ -79,14 +80,13 @@ def recorded_tracks(states: pl.DataFrame, *, vehicles_only: bool = True) -> dict
     states = states.filter(finite, pl.col("time_ns").is_not_null())
     tracks = {}
     for (vehicle_id,), rows in states.partition_by("vehicle_id", as_dict=True).items():
-        samples = rows.unique("time_ns", keep="first", maintain_order=True).sort("time_ns")
-        times = samples["time_ns"].to_numpy().astype(np.int64)
+        times, first = np.unique(rows["time_ns"].to_numpy().astype(np.int64), return_index=True)
         columns = ("x_m", "y_m", "heading_rad", "speed_mps")
         tracks[str(vehicle_id)] = Track(
             times_ns=times,
-            states=np.column_stack([samples[name].cast(pl.Float64).to_numpy() for name in columns]),
-            length_m=_largest(samples["length_m"]),
-            width_m=_largest(samples["width_m"]),
+            states=np.column_stack([rows[name].cast(pl.Float64).to_numpy()[first] for name in columns]),
+            length_m=_largest(rows["length_m"].to_numpy()[first]),
+            width_m=_largest(rows["width_m"].to_numpy()[first]),
             period_ns=float(np.median(np.diff(times))) if times.size > 1 else 0.0,
         )
     return dict(sorted(tracks.items()))
@@ -148,7 +148,7 @@ def _common_times(tracks: list[Track], start_ns: int, end_ns: int) -> IntArray:
     return np.asarray(times[first])
 
 
-def _largest(column: pl.Series) -> float:
-    values = column.cast(pl.Float64).to_numpy()
+def _largest(column: NDArray[Any]) -> float:
+    values = column.astype(np.float64)
     values = values[np.isfinite(values)]
     return float(values.max()) if values.size else float("nan")

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
 from istc_replay.datatypes import FloatArray
@@ -13,9 +15,7 @@ from istc_replay.datatypes import FloatArray
 _MOST_EVEN = 4
 
 
-def smoothed(
-    times_s: FloatArray, values: FloatArray, pieces: NDArray[np.int64], window: int
-) -> tuple[FloatArray, FloatArray, FloatArray]:
+def smoothed(times_s: FloatArray, values: FloatArray, pieces: NDArray[np.int64], window: int) -> FloatArray:
     """Values, first and second derivatives of the quadratics that fit best.
 
     Each piece is taken to even spacing, its own median step, and each sample to the parabola of
@@ -26,7 +26,7 @@ def smoothed(
     times_s : ndarray
         (n,) strictly increasing within a piece.
     values : ndarray
-        (n,) values; NaN ends a piece.
+        (n,) or (C, n) values; NaN in any row ends a piece of all.
     pieces : ndarray
         (n,) piece of each sample, not decreasing: no fit crosses from one to the next.
     window : int
@@ -34,20 +34,21 @@ def smoothed(
 
     Returns
     -------
-    value, rate, curvature : ndarray
-        (n,) each; NaN for samples nearer to an end of their piece than half a window.
+    ndarray
+        (3, n) or (3, C, n) value, rate and curvature; NaN for samples nearer to an end of their piece than
+        half a window.
     """
-    out = np.full((3, values.size), np.nan)
-    if values.size < window:
-        return out[0], out[1], out[2]
-    kernels = _kernels(window)
-    finite = np.isfinite(values)
-    cut = np.flatnonzero((np.diff(pieces) != 0) | (np.diff(finite.astype(np.int8)) != 0)) + 1
-    edges = np.concatenate([[0], cut, [values.size]])
-    for start, end in pairwise(edges):
-        if end - start >= window and finite[start]:
-            out[:, start:end] = _piece(times_s[start:end], values[start:end], kernels)
-    return out[0], out[1], out[2]
+    rows, count = np.atleast_2d(values), values.shape[-1]
+    out = np.full((3, len(rows), count), np.nan)
+    if count >= window:
+        kernels = _kernels(window)
+        finite = np.asarray(np.isfinite(rows).all(axis=0))
+        cut = np.flatnonzero((np.diff(pieces) != 0) | (np.diff(finite.astype(np.int8)) != 0)) + 1
+        edges = np.concatenate([[0], cut, [count]])
+        for start, end in pairwise(edges):
+            if end - start >= window and finite[start]:
+                out[..., start:end] = _piece(times_s[start:end], rows[:, start:end], kernels)
+    return out.reshape(3, *values.shape)
 
 
 def pieces_of(times_ns: NDArray[np.int64], longest_ns: float) -> NDArray[np.int64]:
@@ -56,6 +57,7 @@ def pieces_of(times_ns: NDArray[np.int64], longest_ns: float) -> NDArray[np.int6
     return np.cumsum(breaks).astype(np.int64)
 
 
+@lru_cache(maxsize=64)
 def _kernels(window: int) -> FloatArray:
     """(3, window) weights of value, rate and curvature at the middle, for unit spacing."""
     offset = np.arange(window) - window // 2
@@ -69,12 +71,15 @@ def _piece(times: FloatArray, values: FloatArray, kernels: FloatArray) -> FloatA
     step = max(float(np.median(np.diff(times))), duration / (_MOST_EVEN * times.size))
     even = times[0] + step * np.arange(max(round(duration / step) + 1, window))
     # About the first value: what is far from zero would lose digits.
-    spaced = np.interp(even, times, values - values[0])
-    fitted = np.stack([np.correlate(spaced, kernel, "valid") for kernel in kernels])
-    fitted /= np.array([[1.0], [step], [step**2]])
-    fitted[0] += values[0]
+    spaced = np.stack([np.interp(even, times, row - row[0]) for row in values])
+    # (3, C, m) of windows (C, m, w) and kernels (3, w).
+    fitted = np.einsum("cmw,kw->kcm", sliding_window_view(spaced, window, axis=-1), kernels)
+    fitted /= np.array([1.0, step, step**2])[:, None, None]
+    fitted[0] += values[:, :1]
     half = window // 2
     middle = even[half : even.size - half]
     slack = step * 1e-3
     inside = (times >= middle[0] - slack) & (times <= middle[-1] + slack)
-    return np.where(inside, np.stack([np.interp(times, middle, row) for row in fitted]), np.nan)
+    flat = fitted.reshape(-1, middle.size)
+    at = np.stack([np.interp(times, middle, row) for row in flat]).reshape(*fitted.shape[:2], times.size)
+    return np.where(inside, at, np.nan)

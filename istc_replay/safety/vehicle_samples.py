@@ -61,13 +61,17 @@ def smoothed_motion(body: Body, audit: AuditConfig) -> Motion:
     times = (track.times_ns - track.times_ns[0]) / NS_PER_S
     window = fit_samples(track.period_ns / NS_PER_S, audit)
     x, y, heading, speed = track.states.T
-    _, dx, _ = smoothed(times, x, pieces, window)
-    _, dy, _ = smoothed(times, y, pieces, window)
-    even, acceleration, jerk = smoothed(times, speed, pieces, window)
     finite = np.isfinite(heading)
     unwrapped = np.full(heading.shape, np.nan)
     unwrapped[finite] = np.unwrap(heading[finite])
-    turned, yaw_rate, _ = smoothed(times, unwrapped, pieces, window)
+    columns = np.stack([x, y, speed, unwrapped])
+    if np.isfinite(columns).all():
+        value, rate, second = smoothed(times, columns, pieces, window)
+    else:  # what one does not know ends no piece of another
+        apart = [smoothed(times, column, pieces, window) for column in columns]
+        value, rate, second = np.stack(apart, axis=1)
+    dx, dy, acceleration, yaw_rate = rate
+    even, turned, jerk = value[2], value[3], second[2]
     with np.errstate(invalid="ignore", divide="ignore"):
         curvature = np.where(np.abs(even) > _TURNING_MPS, yaw_rate / even, np.nan)
         steering = np.arctan(body.wheelbase_m * curvature)
