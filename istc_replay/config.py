@@ -175,9 +175,9 @@ class GuidanceConfig(Section):
     """Guidance trajectories."""
 
     source: Literal["auto", "lane", "recorded"] = "auto"
-    """From lane lines, from the recorded path, or from a lane line where the log has one."""
+    """Path at constant speed: a lane line (its intent, or the lane it is in), or the recorded path."""
     law: Literal["auto", "recorded", "constant"] = "auto"
-    """Progress in time: as recorded, at constant speed, or as recorded in traffic alone."""
+    """The repaired recording by its own time, constant speed (the paper), or the former in traffic alone."""
     deviation_max_m: Positive = 1.0
     """A recorded track that no car can follow this closely is an obstacle, not planned."""
     speed_mps: Positive | None = None

@@ -26,8 +26,9 @@ from istc_replay.datatypes import (
     Window,
     read_only,
 )
-from istc_replay.geometry import box_corners, rotate, to_frame
+from istc_replay.geometry import box_corners, rotate, to_frame, to_map
 from istc_replay.handover import Handed
+from istc_replay.lanes import lane_ahead
 from istc_replay.lateral import in_frame, lateral_bound
 from istc_replay.road_frame import Body, conflicts, least_boxes, road_yaw
 from istc_replay.tracks import RoadUser, UsableTrack, road_users, swept_boxes, usable_track
@@ -42,6 +43,8 @@ if TYPE_CHECKING:
 
 #: Reasons of exclusion that tell of a road user whose motion is well known.
 AS_RECORDED = ("not_a_vehicle", "uncooperative")
+#: Lanes are followed over this share of the recorded way, and some more [m].
+_WAY_SHARE, _WAY_MORE_M = 2.0, 50.0
 #: Length and width of a road user that is no vehicle and of unknown size [m].
 _SMALL_M = 1.0
 
@@ -229,7 +232,6 @@ class _Builder:
         dimensions, source = self.size(vehicle_id)
         own = config.by_id.get(vehicle_id)
         priority = own.priority if own is not None and own.priority is not None else info.priority
-        lane = next((line for line in scene.lane_lines if line.vehicle_id == vehicle_id), None)
         x, y, heading = (float(value) for value in usable.poses[0])
         start, approach = StartState(x, y, heading, float(usable.speeds_mps[0])), None
         before = self.handed.get(vehicle_id) if usable.first_unit == 0 else None
@@ -244,11 +246,21 @@ class _Builder:
             units=usable.units,
             start=start,
             recording=Recording(usable.times_s, usable.poses, usable.speeds_mps),
-            lane_m=None if lane is None else read_only(to_frame(lane.points_m, self.window.frame), columns=2),
+            lane_m=self.lane(vehicle_id, usable.poses),
             dimensions_source=source,
             approach=approach,
             lateral=self.lateral(vehicle_id, dimensions) if self.part.traffic else None,
         )
+
+    def lane(self, vehicle_id: str, poses: FloatArray) -> FloatArray | None:
+        """The line (P, 2) of its intent; in traffic, for a constant speed, of the lane that it is in."""
+        frame, lanes = self.window.frame, self.part.scene.lane_lines
+        intent = next((line.points_m for line in lanes if line.vehicle_id == vehicle_id), None)
+        if intent is None and self.part.traffic and self.config.guidance.law == "constant":
+            away = np.column_stack([to_map(poses[:, :2], frame), poses[:, 2] + frame.yaw_rad])
+            way = float(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum())
+            intent = lane_ahead(lanes, away, _WAY_SHARE * way + _WAY_MORE_M)
+        return None if intent is None else read_only(to_frame(intent, frame), columns=2)
 
     def approach(self, vehicle_id: str, heading_rad: float) -> FloatArray:
         """The recorded path (P, 3) up to the window's start; its last heading is near that given."""

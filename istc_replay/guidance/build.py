@@ -1,4 +1,4 @@
-"""Guidance for every participant of a scenario: along its lane line or its recorded path."""
+"""Guidance at constant speed for every participant: along its lane line or its recorded path."""
 
 from __future__ import annotations
 
@@ -58,11 +58,11 @@ def recorded_guidance(
 
 
 def _guidance(participant: Participant, unit_s: float, config: GuidanceConfig) -> Guidance:
-    kind, path = _path(participant, config)
+    kind, path, stop_m = _path(participant, config)
     speed = config.speed_mps or recorded_speed_mps(participant)
     samples = np.linspace(0.0, participant.units * unit_s, participant.units * _SAMPLES_PER_UNIT + 1)
-    if kind == "recorded" and participant.recording.speeds_mps[-1] < STANDING_MPS:
-        arc = constant_speed_then_stop(samples, speed, path.length_m, config.stop_deceleration_mps2)
+    if stop_m is not None and participant.recording.speeds_mps[-1] < STANDING_MPS:
+        arc = constant_speed_then_stop(samples, speed, stop_m, config.stop_deceleration_mps2)
     else:
         arc = constant_speed(samples, speed)
     poses = path.at(arc)
@@ -79,14 +79,19 @@ def _guidance(participant: Participant, unit_s: float, config: GuidanceConfig) -
     )
 
 
-def _path(participant: Participant, config: GuidanceConfig) -> tuple[str, Path]:
+def _path(participant: Participant, config: GuidanceConfig) -> tuple[str, Path, float | None]:
+    """Kind and path of a guidance, and where on it a vehicle stops that is recorded to stand in the end."""
+    poses = participant.recording.poses
     if participant.lane_m is not None and config.source != "recorded":
         lane = Path.through(participant.lane_m)
         arc, distance = lane.project(np.array([participant.start.x_m, participant.start.y_m]))
         if distance <= LANE_REACH_M and arc < lane.length_m:
-            return "lane", _from(lane, arc)
-    poses = participant.recording.poses
-    return "recorded", Path.through(poses[:, :2], poses[:, 2])
+            # An intent is driven to its end; who is in a lane of the road stops where it was recorded to.
+            in_traffic = participant.lateral is not None
+            stop_m = max(lane.project(poses[-1, :2])[0] - arc, 0.0) if in_traffic else None
+            return "lane", _from(lane, arc), stop_m
+    path = Path.through(poses[:, :2], poses[:, 2])
+    return "recorded", path, path.length_m
 
 
 def _from(path: Path, arc_m: float) -> Path:
