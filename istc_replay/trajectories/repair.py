@@ -71,7 +71,7 @@ def recorded_poses(participant: Participant, at_s: FloatArray) -> FloatArray:
 
 
 class RecordingRepairer:
-    """Repairs recordings; keeps one compiled NLP a number of control intervals and their length.
+    """Repairs recordings; keeps compiled NLPs of few numbers of control intervals.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ class RecordingRepairer:
 
     def __init__(self, config: TrajectoriesConfig) -> None:
         self._config = config
-        self._compiled: dict[tuple[int, float], ca.Function] = {}
+        self._compiled: dict[int, ca.Function] = {}
 
     def repair(
         self,
@@ -118,17 +118,24 @@ class RecordingRepairer:
         headings = states[:, 2].copy()
         lower, upper = self._bounds(participant, intervals, speed_max_mps)
         states = np.clip(states, lower, upper)
-        rate, jerk = self._config.steering_rate_max_radps, self._config.jerk_max_mps3
-        limit = np.tile([rate, jerk], (intervals, 1))
-        solver = self._solver(intervals, step_s)
+        # The NLP is of at least as many intervals: those behind the last are of no time and no weight.
+        whole = _whole(intervals)
+        more = ((0, whole - intervals), (0, 0))
+        states, lower, upper = (np.pad(rows, more, mode="edge") for rows in (states, lower, upper))
+        known = np.arange(whole + 1) <= intervals
+        steps = np.where(known[1:], step_s, 0.0)
+        limit = np.tile([self._config.steering_rate_max_radps, self._config.jerk_max_mps3], (whole, 1))
+        tracks = np.pad(np.column_stack([centres, headings]), more, mode="edge")
+        parameters = [size.wheelbase_m, size.rear_axle_to_centre_m], steps, known, tracks[:, :2].ravel()
+        solver = self._solver(whole)
         began = time.perf_counter()
         answer = solver(
-            x0=_pack(states, np.zeros((intervals, 2))),
-            p=np.concatenate([[size.wheelbase_m, size.rear_axle_to_centre_m], centres.ravel(), headings]),
+            x0=_pack(states, np.zeros((whole, 2))),
+            p=np.concatenate([*parameters, tracks[:, 2]]),
             lbx=_pack(lower, -limit),
             ubx=_pack(upper, limit),
-            lbg=np.concatenate([[-_START_M, -_START_M], np.zeros(7 * intervals)]),
-            ubg=np.concatenate([[_START_M, _START_M], np.tile([0.0] * 6 + [speed_max_mps], intervals)]),
+            lbg=np.concatenate([[-_START_M, -_START_M], np.zeros(7 * whole)]),
+            ubg=np.concatenate([[_START_M, _START_M], np.tile([0.0] * 6 + [speed_max_mps], whole)]),
         )
         report = solver.stats()
         status = _STATUS.get(report["return_status"], SolveStatus.ERROR)
@@ -173,11 +180,16 @@ class RecordingRepairer:
             lower[0] = upper[0] = np.array(known, dtype=np.float64)
         return lower, upper
 
-    def _solver(self, intervals: int, step_s: float) -> ca.Function:
-        key = (intervals, step_s)
-        if key not in self._compiled:
-            self._compiled[key] = _build(intervals, step_s, self._config.iteration_budget)
-        return self._compiled[key]
+    def _solver(self, intervals: int) -> ca.Function:
+        if intervals not in self._compiled:
+            self._compiled[intervals] = _build(intervals, self._config.iteration_budget)
+        return self._compiled[intervals]
+
+
+def _whole(intervals: int) -> int:
+    """The least of 2, 3, 4, 6, 8, 12, .. that is no less: stays have any length, NLPs are slow to build."""
+    power = 1 << max(0, intervals - 1).bit_length()
+    return max(2, power if intervals > power * 3 // 4 else power * 3 // 4)
 
 
 def _cut(units: int, unit_s: float) -> tuple[float, int]:
@@ -191,13 +203,14 @@ def _cut(units: int, unit_s: float) -> tuple[float, int]:
     return unit_s / per_unit, units * per_unit
 
 
-def _build(intervals: int, step_s: float, iterations: int) -> ca.Function:
+def _build(intervals: int, iterations: int) -> ca.Function:
     states = [ca.SX.sym(f"s{i}", 6) for i in range(intervals + 1)]
     controls = [ca.SX.sym(f"u{i}", 2) for i in range(intervals)]
     size, targets = ca.SX.sym("size", 2), ca.SX.sym("targets", 2, intervals + 1)
-    headings = ca.SX.sym("headings", intervals + 1)
-    state, control, wheelbase = ca.SX.sym("s", 6), ca.SX.sym("u", 2), ca.SX.sym("l")
-    step = ca.Function("step", [state, control, wheelbase], [_rk4_step(state, control, step_s, wheelbase)])
+    headings, weights = ca.SX.sym("headings", intervals + 1), ca.SX.sym("weights", intervals + 1)
+    steps_s = ca.SX.sym("steps", intervals)
+    symbols: list[Any] = [ca.SX.sym("s", 6), ca.SX.sym("u", 2), ca.SX.sym("h"), ca.SX.sym("l")]
+    step = ca.Function("step", symbols, [_rk4_step(*symbols)])
     cost: Any = 0.0
     rows = []
     for i, here in enumerate(states):
@@ -205,17 +218,17 @@ def _build(intervals: int, step_s: float, iterations: int) -> ca.Function:
         y = here[1] + size[1] * ca.sin(here[2]) - targets[1, i]
         if i == 0:
             rows += [x, y]  # the plan has to begin where the vehicle was recorded
-        cost += _POSITION * (x**2 + y**2) + _HEADING * (here[2] - headings[i]) ** 2
-        cost += _CURVATURE * (ca.tan(here[3]) / size[0]) ** 2
+        off = _POSITION * (x**2 + y**2) + _HEADING * (here[2] - headings[i]) ** 2
+        cost += weights[i] * (off + _CURVATURE * (ca.tan(here[3]) / size[0]) ** 2)
     for i, held in enumerate(controls):
-        rows.append(step(states[i], held, size[0]) - states[i + 1])
+        rows.append(step(states[i], held, steps_s[i], size[0]) - states[i + 1])
         # The speed's Bezier point: with it, the speed keeps its limits between the knots too.
-        rows.append(states[i][4] + states[i][5] * (step_s / 2))
+        rows.append(states[i][4] + states[i][5] * (steps_s[i] / 2))
         cost += _STEERING_RATE * held[0] ** 2 + _JERK * held[1] ** 2
     x = ca.vertcat(*(ca.vertcat(*pair) for pair in zip(states, controls, strict=False)), states[-1])
     problem: dict[str, Any] = {
         "x": x,
-        "p": ca.vertcat(size, ca.vec(targets), headings),
+        "p": ca.vertcat(size, steps_s, weights, ca.vec(targets), headings),
         "f": cost,
         "g": ca.vertcat(*rows),
     }
