@@ -243,6 +243,8 @@ class CorridorsConfig(Section):
     """Rounds of repair of one seed."""
     seed_improvements: Annotated[int, Field(ge=0)] = 20
     """Rounds that make a repaired seed cheaper."""
+    seed_feedbacks: Annotated[int, Field(ge=0)] = 6
+    """How often a seed is repaired anew where layer 1 cannot follow it."""
     group_vehicles_max: Count = 8
     """Vehicles in conflict that are planned at once; of larger groups one is planned against the others."""
     tree_node_budget: Count = 1000

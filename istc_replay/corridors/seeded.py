@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from istc_replay.corridors.incumbent import Search, cramped, follow, gives_way
 from istc_replay.corridors.relinearise import with_references
-from istc_replay.corridors.seed.mending import mended
-from istc_replay.corridors.seed.seeding import Seed, make_lattices, plant
-from istc_replay.datatypes import SolveStatus, read_only
+from istc_replay.corridors.seed.mending import Mended, mended
+from istc_replay.corridors.seed.repair import Repair
+from istc_replay.corridors.seed.seeding import frames_of, make_lattices
+from istc_replay.datatypes import SolveRecord, SolveStatus, read_only
 
 if TYPE_CHECKING:
     from istc_replay.config import CorridorsConfig
@@ -23,6 +24,8 @@ if TYPE_CHECKING:
 #: Who steps less in a unit stands [m]; the last pivotal points, as many at most, lie this near to the goal.
 _STANDING_M, _AT_GOAL_M, _HELD = 0.05, 0.2, 4
 _ROOM_M = 0.4
+#: What a seed keeps apart beyond what layer 1 missed.
+_MORE_M = 0.1
 
 Rewritten = Callable[[Sequence["Guidance"]], "CorridorProblem"]
 
@@ -59,24 +62,15 @@ def search_seeds(
     lattices = make_lattices(scenario, guidance, config)
     paths = sum(lattice.shape[1] for lattice in lattices)
     search.record("seed paths", "numpy", SolveStatus.FEASIBLE, began, nodes=paths)
+    names = [participant.vehicle_id for participant in scenario.participants]
     found: list[Search] = []
     reason = ""
     for number in range(attempt * config.seeds, (attempt + 1) * config.seeds):
-        began = time.perf_counter()
-        seed = plant(lattices, guidance, config, number)
-        clear = seed is not None and not seed.conflicts
-        status = SolveStatus.FEASIBLE if clear else SolveStatus.LIMIT
-        rounds = None if seed is None else seed.rounds
-        search.record(f"seed {number}", "dynamic programme", status, began, iterations=rounds)
-        if seed is None:
-            return "a vehicle has no way to its goal within the window"
-        if seed.conflicts:
-            reason = _conflicts_left(search, scenario, seed)
-            continue
-        own = _grown(seed, guidance, rewritten, config)
-        search.records += own.records
-        if own.z is None:
-            reason = "no corridors about any seed"
+        growth = _Growth(Repair(lattices, config.vehicle_gap_m, number), guidance, rewritten, config)
+        own = growth.run()
+        search.records += growth.records
+        if own is None:
+            reason, search.culprits = growth.why_not(names)
             continue
         found.append(own)
         if not gives_way(own):
@@ -92,51 +86,111 @@ def _rank(search: Search) -> tuple[bool, float]:
     return gives_way(search), search.objective
 
 
-def _conflicts_left(search: Search, scenario: Scenario, seed: Seed) -> str:
-    names = [participant.vehicle_id for participant in scenario.participants]
-    search.culprits = tuple((names[i], names[j]) for i, j in seed.conflicts)
-    left = [f"{names[i]} and {names[j]} in time unit {units[0]}" for (i, j), units in seed.conflicts.items()]
-    return "conflict left: " + ", ".join(left)
-
-
 def _take(search: Search, best: Search) -> None:
     search.problem, search.z, search.objective = best.problem, best.z, best.objective
     search.frames, search.found_by = best.frames, best.found_by
     search.reference_bound, search.exhausted, search.bound = 0.0, False, -np.inf
 
 
-def _grown(seed: Seed, guidance: Sequence[Guidance], rewritten: Rewritten, config: CorridorsConfig) -> Search:
-    """Eq. (4) about a seed: its own relations, then frames that follow."""
-    began = time.perf_counter()
+@dataclass(slots=True)
+class _Growth:
+    """One seed: its motions are repaired, and repaired again where layer 1 cannot follow them."""
 
-    def anchored(frames: Sequence[Guidance]) -> CorridorProblem:
-        return _anchored(rewritten(frames), seed, guidance)
+    repair: Repair
+    guidance: Sequence[Guidance]
+    rewritten: Rewritten
+    config: CorridorsConfig
+    records: list[SolveRecord] = field(default_factory=list)
+    missed: list[tuple[str, str, int]] = field(default_factory=list)
 
-    problem = with_references(anchored(seed.frames), guidance)
-    search = Search(problem, frames=seed.frames)
-    z = None
-    if not len(problem.impossible) and not cramped(problem):
-        z = mended(problem, _points(problem, seed))
-    search.offer(z, "seed")
-    search.record(
-        "about the seed",
-        "piqp",
-        SolveStatus.FEASIBLE if z is not None else SolveStatus.INFEASIBLE,
-        began,
-        objective=None if z is None else problem.objective(z),
-    )
-    follow(search, guidance, anchored, config, searched=False)
-    return search
+    def run(self) -> Search | None:
+        """The corridors about the seed, where there are any."""
+        for _ in range(1 + self.config.seed_feedbacks):
+            if not self._repaired():
+                return None
+            search, missed = self._grown(frames_of(self.repair, self.guidance))
+            self.records += search.records
+            if search.z is not None:
+                return search
+            if not missed:
+                return None
+            self._give_way(search.problem, missed)
+        return None
+
+    def why_not(self, names: Sequence[str]) -> tuple[str, tuple[tuple[str, str], ...]]:
+        """In one line why there are no corridors, and the pairs of vehicles in conflict."""
+        if self.repair.no_way is not None:
+            return f"{names[self.repair.no_way]} has no way to its goal within the window", ()
+        conflicts = self.repair.conflicts()
+        left = [(names[i], names[j], units[0]) for (i, j), units in conflicts.items()] or self.missed
+        if not left:
+            return "no corridors about any seed", ()
+        told = ", ".join(f"{one} and {other} in time unit {unit}" for one, other, unit in left)
+        return f"conflict left: {told}", tuple((names[i], names[j]) for i, j in conflicts)
+
+    def _repaired(self) -> bool:
+        began, before = time.perf_counter(), self.repair.rounds
+        clear = self.repair.run(self.config.seed_rounds, self.config.seed_improvements)
+        self.records.append(
+            SolveRecord(
+                "corridors",
+                f"seed {self.repair.seed}",
+                "dynamic programme",
+                SolveStatus.FEASIBLE if clear else SolveStatus.LIMIT,
+                wall_s=time.perf_counter() - began,
+                iterations=self.repair.rounds - before,
+            )
+        )
+        return clear
+
+    def _give_way(self, problem: CorridorProblem, missed_m: Mapping[int, float]) -> None:
+        """Have the seed keep clear of what layer 1 missed: the worst of each pair of road users."""
+        table = problem.separations
+        worst: dict[tuple[str, str], int] = {}
+        for d in sorted(missed_m, key=lambda d: (-missed_m[d], d)):
+            worst.setdefault(problem.pair(d), d)
+        for d in worst.values():
+            first, second, unit = int(table.first[d]), int(table.second[d]), int(table.unit[d])
+            if table.obstacle[d]:
+                self.repair.bar(first, unit)
+            else:
+                self.repair.keep_apart(first, second, unit, missed_m[d] + _MORE_M)
+        self.missed = [(*pair, int(table.unit[d])) for pair, d in worst.items()]
+
+    def _grown(self, frames: tuple[Guidance, ...]) -> tuple[Search, Mapping[int, float]]:
+        """Eq. (4) about a seed: its own relations, then frames that follow; or what is missed."""
+        began = time.perf_counter()
+
+        def anchored(some: Sequence[Guidance]) -> CorridorProblem:
+            return _anchored(self.rewritten(some), frames, self.guidance)
+
+        problem = with_references(anchored(frames), self.guidance)
+        search = Search(problem, frames=frames)
+        found = Mended(missed_m=dict.fromkeys(problem.impossible.tolist(), 0.0))
+        if not found.missed_m and not cramped(problem):
+            found = mended(problem, _points(problem, frames))
+        search.offer(found.z, "seed")
+        search.record(
+            "about the seed",
+            "piqp",
+            SolveStatus.INFEASIBLE if found.z is None else SolveStatus.FEASIBLE,
+            began,
+            objective=None if found.z is None else problem.objective(found.z),
+        )
+        follow(search, self.guidance, anchored, self.config, searched=False)
+        return search, found.missed_m
 
 
-def _anchored(problem: CorridorProblem, seed: Seed, guidance: Sequence[Guidance]) -> CorridorProblem:
+def _anchored(
+    problem: CorridorProblem, frames: Sequence[Guidance], guidance: Sequence[Guidance]
+) -> CorridorProblem:
     """Hold the last pivotal points of vehicles that stop at their goals, where the seed has brought them.
 
     Frames are those of the seed's own times: who is early or late turns elsewhere, and would come to
     stand beside its goal.
     """
     lower, upper = np.array(problem.lower), np.array(problem.upper)
-    for block, frame, guide in zip(problem.blocks, seed.frames, guidance, strict=True):
+    for block, frame, guide in zip(problem.blocks, frames, guidance, strict=True):
         goal = guide.points_m[-1]
         there = np.hypot(*(frame.points_m - goal).T) < _AT_GOAL_M
         if np.hypot(*(goal - guide.points_m[-2])) < _STANDING_M and there[-1]:
@@ -150,9 +204,9 @@ def _anchored(problem: CorridorProblem, seed: Seed, guidance: Sequence[Guidance]
     return replace(problem, lower=read_only(lower), upper=read_only(upper))
 
 
-def _points(problem: CorridorProblem, seed: Seed) -> FloatArray:
+def _points(problem: CorridorProblem, frames: Sequence[Guidance]) -> FloatArray:
     """A seed as z, with least cubes."""
     z = np.zeros(problem.size)
-    for block, frame in zip(problem.blocks, seed.frames, strict=True):
+    for block, frame in zip(problem.blocks, frames, strict=True):
         z[block.pivot[1:]] = frame.points_m[1:]
     return problem.least_cubes(z)

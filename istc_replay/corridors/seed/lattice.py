@@ -33,6 +33,8 @@ _LATE_S = 2.0
 
 #: Overlaps no larger than this are rounding of places.
 CLEAR_M = 0.6
+#: Steps from so many places about one that is barred are barred with it.
+_BESIDE = 2
 
 Mask = NDArray[np.bool_]
 
@@ -153,6 +155,21 @@ class Lattice:
         steps = np.diff(motion.places)
         along = self._cost[np.arange(self.units), motion.path, motion.places[:-1], steps]
         return float(along.sum() + self._extra[motion.path] + self._end_cost(motion.path, motion.places[-1]))
+
+    def arrives(self, motion: Motion) -> bool:
+        """Whether a motion that stops at its goal stands there in the last unit."""
+        return not self.stops or bool(motion.places[-2] >= self._last[motion.path] - 1)
+
+    def bar(self, motion: Motion, row: int) -> None:
+        """Leave out a motion's step of one unit, and those beside it that reach as deep into an obstacle."""
+        path, place = motion.path, int(motion.places[row])
+        step = int(motion.places[row + 1]) - place
+        near = slice(max(0, place - _BESIDE), place + _BESIDE + 1)
+        depth = self._depth_of_obstacles[path, near]
+        deepest = self._depth_of_obstacles[path, place, step]
+        self._cost[:, path, place, step] = np.inf
+        if deepest > _ROUNDING_M:
+            self._cost[:, path, near][:, depth >= deepest - _ROUNDING_M] = np.inf
 
     def reachable(self) -> Mask:
         """Paths (P,) whose end can be reached at all, whatever the time."""

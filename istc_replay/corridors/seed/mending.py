@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import casadi
@@ -11,6 +12,8 @@ from istc_replay.corridors.polish import polish
 from istc_replay.corridors.problem import CONSTANT, Rows
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from istc_replay.corridors.problem import CorridorProblem, IntArray
     from istc_replay.datatypes import FloatArray
 
@@ -19,32 +22,36 @@ _PRICE = 3e4  # of a metre that a separation is missed by
 _MISSED_M = 1e-4
 
 
-def mended(problem: CorridorProblem, z: FloatArray) -> FloatArray | None:
+@dataclass(frozen=True, slots=True, eq=False)
+class Mended:
+    """A solution z of eq. (4) to (12), or by how much [m] separations (their numbers) are missed."""
+
+    z: FloatArray | None = None
+    missed_m: Mapping[int, float] = field(default_factory=dict)
+
+
+def mended(problem: CorridorProblem, z: FloatArray) -> Mended:
     """Minimise eq. (4) with options near those that z meets best.
 
     Where these contradict each other the separations are softened, and each that is missed takes
     the option which it then misses least, for a few rounds.
-
-    Returns
-    -------
-    (n,) array or None
-        A solution of eq. (4) to (12), or None where none was found.
     """
     choice = problem.separations.best(z)
-    tried = set()
-    for _ in range(_ROUNDS):
-        if choice.tobytes() in tried:
-            return None
+    tried: set[bytes] = set()
+    missed_m: dict[int, float] = {}
+    while choice.tobytes() not in tried and len(tried) < _ROUNDS:
         tried.add(choice.tobytes())
         soft = _softened(problem, choice)
         if soft is None:
-            return None
+            break
         slack = problem.separations.slack(soft)
-        missed = slack[np.arange(len(choice)), choice] < -_MISSED_M
+        chosen = slack[np.arange(len(choice)), choice]
+        missed = chosen < -_MISSED_M
         if not missed.any():
-            return polish(problem, choice)
+            return Mended(polish(problem, choice))
+        missed_m = {int(d): float(-chosen[d]) for d in np.flatnonzero(missed)}
         choice = np.where(missed, slack.argmax(axis=1), choice)
-    return None
+    return Mended(missed_m=missed_m)
 
 
 def _softened(problem: CorridorProblem, choice: IntArray) -> FloatArray | None:

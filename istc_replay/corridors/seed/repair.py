@@ -1,6 +1,6 @@
 """Motions of all vehicles that keep clear of each other: best responses, then large neighbourhoods.
 
-After MAPF-LNS2 (Li et al. 2022): a pair in conflict and up to two others are taken out and planned anew one
+After MAPF-LNS2 (Li et al. 2022): a pair in conflict and up to four others are taken out and planned anew one
 after the other in random order; the change is kept where the conflicts do not become more.
 """
 
@@ -14,12 +14,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from istc_replay.corridors.seed.lattice import Lattice, Motion
+from istc_replay.datatypes import FloatArray
 
 #: Prices of a unit in conflict, from sweep to sweep of best responses, and in neighbourhoods.
 _PRICES = (1000.0, 10_000.0, 100_000.0)
 _DEAR = 1e6
 _ROUNDING_M = 1e-3
-_MOST_OTHERS = 2
+_MOST_OTHERS = 4
+#: Improvements last this many times longer while somebody does not arrive.
+_PATIENCE = 4
 
 
 @dataclass(slots=True)
@@ -31,6 +34,9 @@ class Repair:
     seed: int
     motions: list[Motion] = field(default_factory=list)
     rounds: int = 0
+    no_way: int | None = None  # a vehicle without any motion
+    _barred: set[int] = field(default_factory=set)
+    _wider_m: dict[tuple[int, int], FloatArray] = field(default_factory=dict)
     _versions: list[int] = field(default_factory=list)
     _overlaps: dict[tuple[int, int], tuple[int, NDArray[np.uint8]]] = field(default_factory=dict)
     _random: np.random.Generator = field(init=False)
@@ -40,24 +46,55 @@ class Repair:
         self._random = np.random.default_rng(self.seed)
 
     def run(self, budget: int, improvements: int) -> bool:
-        """Repair within `budget` rounds, then improve; False where conflicts are left or no way is found."""
-        alone = [lattice.best(self._penalty(number, 0.0, ())) for number, lattice in enumerate(self.lattices)]
-        if any(motion is None for motion in alone):
+        """Repair within `budget` rounds, then improve; False where conflicts are left or no way is found.
+
+        After `bar` and `keep_apart` it goes on from the motions there are.
+        """
+        everyone = range(len(self.lattices))
+        if not self.motions:
+            for number in everyone:
+                self._replan(number, 0.0, ())
+            if self.no_way is not None:
+                return False
+            self._respond()
+        for number in sorted(self._barred):
+            self._replan(number, _DEAR, everyone)
+        if self.no_way is not None:
             return False
-        self.motions = [motion for motion in alone if motion is not None]
-        self._versions = [next(self._numbers) for _ in self.motions]
-        self._respond()
-        self._mend(budget)
+        self._barred.clear()
+        self._mend(self.rounds + budget)
         if self.conflicts():
             return False
         self._improve(improvements)
         return True
+
+    def bar(self, number: int, unit: int) -> None:
+        """Have a vehicle not pass where it does in a unit: layer 1 cannot keep it off what stands there."""
+        lattice = self.lattices[number]
+        lattice.bar(self.motions[number], unit - lattice.first_unit)
+        self._barred.add(number)
+
+    def keep_apart(self, first: int, second: int, unit: int, more_m: float) -> None:
+        """Have two vehicles keep more than the gap in a unit: layer 1 finds them nearer than here."""
+        pair = min(first, second), max(first, second)
+        units = max(lattice.first_unit + lattice.units for lattice in self.lattices)
+        wider = self._wider_m.setdefault(pair, np.zeros(units))
+        wider[unit] += more_m
+        for key in (pair, pair[::-1]):
+            self._overlaps.pop(key, None)
 
     @property
     def cost(self) -> float:
         """What all motions cost, conflicts left aside."""
         return sum(
             lattice.own_cost(motion) for lattice, motion in zip(self.lattices, self.motions, strict=True)
+        )
+
+    @property
+    def arrives(self) -> bool:
+        """Whether everybody stands at its goal in the end."""
+        return all(
+            lattice.arrives(motion) for lattice, motion in zip(self.lattices, self.motions, strict=True)
         )
 
     def conflicts(self) -> dict[tuple[int, int], list[int]]:
@@ -71,12 +108,21 @@ class Repair:
 
     def _meeting(self, i: int, j: int) -> list[int]:
         first = max(self.lattices[i].first_unit, self.lattices[j].first_unit)
-        a, b = (self.motions[v].cubes_m[first - self.lattices[v].first_unit :] for v in (i, j))
+        a = self.motions[i].cubes_m[first - self.lattices[i].first_unit :]
+        b = self._kept_clear_m(i, j)[first - self.lattices[j].first_unit :]
         common = min(len(a), len(b))
         a, b, gap = a[:common], b[:common], self.gap_m - _ROUNDING_M
         over_x = (a[:, 0] < b[:, 1] + gap) & (b[:, 0] < a[:, 1] + gap)
         over_y = (a[:, 2] < b[:, 3] + gap) & (b[:, 2] < a[:, 3] + gap)
         return [first + int(unit) for unit in np.flatnonzero(over_x & over_y)]
+
+    def _kept_clear_m(self, number: int, other: int) -> FloatArray:
+        """Cubes (K, 4) of another, larger by what the two keep apart beyond the gap."""
+        cubes, first = self.motions[other].cubes_m, self.lattices[other].first_unit
+        wider = self._wider_m.get((min(number, other), max(number, other)))
+        if wider is None:
+            return cubes
+        return np.asarray(cubes + wider[first : first + len(cubes), None] * [-1.0, 1.0, -1.0, 1.0])
 
     def _respond(self) -> None:
         """Best responses in random order, conflicts growing dearer."""
@@ -100,7 +146,7 @@ class Repair:
                 conflicts = after
 
     def _neighbourhood(self, conflicts: dict[tuple[int, int], list[int]]) -> list[int]:
-        """A pair in conflict and up to two others, those first that meet it too."""
+        """A pair in conflict and up to four others, those first that meet it too."""
         pairs = list(conflicts)
         pair = pairs[int(self._random.integers(len(pairs)))]
         others = [int(v) for v in self._random.permutation(len(self.lattices)) if v not in pair]
@@ -110,9 +156,11 @@ class Repair:
         return [part[int(i)] for i in self._random.permutation(len(part))]
 
     def _improve(self, rounds: int) -> None:
-        """Neighbourhoods again, for a lower cost."""
+        """Neighbourhoods again, for a lower cost, and longer while somebody does not arrive."""
         cost, everyone = self.cost, len(self.lattices)
-        for _ in range(rounds if everyone > 1 else 0):
+        for number in range(_PATIENCE * rounds if everyone > 1 else 0):
+            if number >= rounds and self.arrives:
+                break
             before = list(self.motions), list(self._versions)
             size = int(self._random.integers(1, min(4, everyone + 1)))
             self._plan_anew([int(v) for v in self._random.permutation(everyone)[:size]])
@@ -130,9 +178,14 @@ class Repair:
 
     def _replan(self, number: int, price: float, others: Iterable[int]) -> None:
         motion = self.lattices[number].best(self._penalty(number, price, others))
-        if motion is not None:
+        if motion is None:
+            self.no_way = number
+        elif number < len(self.motions):
             self.motions[number] = motion
             self._versions[number] = next(self._numbers)
+        else:
+            self.motions.append(motion)
+            self._versions.append(next(self._numbers))
 
     def _penalty(self, number: int, price: float, others: Iterable[int]) -> NDArray[np.float32]:
         """Price (K, P, S, W) of meeting others."""
@@ -146,7 +199,7 @@ class Repair:
     def _overlap(self, number: int, other: int) -> NDArray[np.uint8]:
         known = self._overlaps.get((number, other))
         if known is None or known[0] != self._versions[other]:
-            cubes, first = self.motions[other].cubes_m, self.lattices[other].first_unit
+            cubes, first = self._kept_clear_m(number, other), self.lattices[other].first_unit
             found = self.lattices[number].overlaps(cubes, first, self.gap_m)
             known = self._overlaps[number, other] = (self._versions[other], found)
         return known[1]

@@ -1,9 +1,9 @@
-"""From a scenario to frames: the guidance that each vehicle's seed motion is."""
+"""From a scenario to lattices, and from seed motions to frames."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -19,16 +19,6 @@ if TYPE_CHECKING:
 
 #: Below this speed at the end of its recording a vehicle has a goal there.
 _STANDING_MPS = 0.5
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Seed:
-    """One motion a vehicle as guidance, its rounds of repair; `conflicts` are what is left."""
-
-    frames: tuple[Guidance, ...]
-    rounds: int
-    cost: float
-    conflicts: dict[tuple[int, int], list[int]]
 
 
 def make_lattices(
@@ -63,28 +53,18 @@ def make_lattices(
     return tuple(lattice(p, g) for p, g in zip(scenario.participants, guidance, strict=True))
 
 
-def plant(
-    lattices: Sequence[Lattice], guidance: Sequence[Guidance], config: CorridorsConfig, number: int
-) -> Seed | None:
-    """Motions that keep clear of each other; None where a vehicle has no way at all.
+def frames_of(repair: Repair, guidance: Sequence[Guidance]) -> tuple[Guidance, ...]:
+    """The motions of a repair as guidance, what eq. (9) to (12) are written about.
 
     Parameters
     ----------
-    lattices : sequence of Lattice
-        One a vehicle.
+    repair : Repair
+        Has a motion for everybody.
     guidance : sequence of Guidance
         One a vehicle.
-    config : CorridorsConfig
-        Gaps and budgets.
-    number : int
-        Of the random order.
     """
-    repair = Repair(lattices, config.vehicle_gap_m, number)
-    repair.run(config.seed_rounds, config.seed_improvements)
-    if not repair.motions:
-        return None
     frames = []
-    for lattice, motion, guide in zip(lattices, repair.motions, guidance, strict=True):
+    for lattice, motion, guide in zip(repair.lattices, repair.motions, guidance, strict=True):
         poses = np.array(lattice.poses(motion))
         poses[0] = *guide.points_m[0], guide.headings_rad[0]
         poses[:, 2] = np.unwrap(poses[:, 2])
@@ -98,4 +78,4 @@ def plant(
                 slack_rad=read_only(lattice.slack_rad(motion)),
             )
         )
-    return Seed(tuple(frames), repair.rounds, repair.cost, repair.conflicts())
+    return tuple(frames)
