@@ -11,6 +11,8 @@ from istc_replay.corridors.seed.band import drawn_clear
 from istc_replay.geometry import shift_along
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from istc_replay.datatypes import Dimensions, FloatArray, Guidance
 
 #: Places along a path are about this far apart.
@@ -18,10 +20,12 @@ LEVEL_M = 0.5
 _FINE_M = 0.25
 #: How far bumps go to the left, and over which share of the path.
 _BUMPS_M = (1.5, -1.5, 3.0, -3.0, 4.5, -4.5)
+_DETOURS_M = (6.0, -6.0, 9.0, -9.0)
 _SPANS = ((0.0, 0.5), (0.25, 0.75), (0.5, 1.0), (0.0, 1.0))
 #: Room that paths pulled clear keep between the car-box and an obstacle's box, beyond the gap.
 _ROOMS_M = (0.0, 0.5, 1.0, 2.0, 3.0, 4.0)
 _BUMPED_ROOMS_M = (0.5, 2.0)
+_DETOUR_ROOMS_M = (0.0, 0.5)
 _CURVATURE_MAX_1PM = 0.27
 _LATERAL_MPS2 = 3.0
 _STEERING_RATE_RADPS = 0.7
@@ -69,11 +73,7 @@ def candidate_paths(
     gap_m : float
         Gap to obstacles.
     """
-    x, y, turned = guide.poses.T
-    axle = shift_along(x, y, turned, -car.rear_axle_to_centre_m)
-    arc = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(axle, axis=0).T))])
-    s = np.linspace(0.0, arc[-1], max(4, int(np.ceil(arc[-1] / _FINE_M))) + 1)
-    own = np.column_stack([np.interp(s, arc, row) for row in (*axle.T, np.unwrap(turned))])
+    own = _axle_path(guide, car)
     found = [_seed_path(own, car, guide.speed_mps, sharp=True)]
     bumped = _bumped(own)
     for room in _ROOMS_M if len(boxes_m) else ():
@@ -84,7 +84,35 @@ def candidate_paths(
     return [path for path in found if path is not None]
 
 
-def _bumped(poses: FloatArray) -> list[FloatArray]:
+def detours(
+    guide: Guidance,
+    car: Dimensions,
+    boxes_m: FloatArray,
+    bounds_m: tuple[float, float, float, float] | None,
+    gap_m: float,
+) -> list[SeedPath]:
+    """More paths of the same kind: bumps of the guidance's, drawn clear on the side where they are.
+
+    They lead through other openings too. Parameters are those of `candidate_paths`.
+    """
+    found = []
+    for poses in _bumped(_axle_path(guide, car), (*_BUMPS_M, *_DETOURS_M)):
+        for room in _DETOUR_ROOMS_M:
+            clear = drawn_clear(poses, car, boxes_m, bounds_m, gap_m + room)
+            found.append(_seed_path(clear, car, guide.speed_mps))
+    return [path for path in found if path is not None]
+
+
+def _axle_path(guide: Guidance, car: Dimensions) -> FloatArray:
+    """The path (S, 3) of the rear axle by even arc lengths."""
+    x, y, turned = guide.poses.T
+    axle = shift_along(x, y, turned, -car.rear_axle_to_centre_m)
+    arc = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(axle, axis=0).T))])
+    s = np.linspace(0.0, arc[-1], max(4, int(np.ceil(arc[-1] / _FINE_M))) + 1)
+    return np.column_stack([np.interp(s, arc, row) for row in (*axle.T, np.unwrap(turned))])
+
+
+def _bumped(poses: FloatArray, bumps_m: Sequence[float] = _BUMPS_M) -> list[FloatArray]:
     """The path (S, 3) moved aside by a smooth bump over a part of it."""
     share = np.linspace(0.0, 1.0, len(poses))
     normal = np.stack([-np.sin(poses[:, 2]), np.cos(poses[:, 2])], axis=-1)
@@ -92,7 +120,7 @@ def _bumped(poses: FloatArray) -> list[FloatArray]:
     for low, high in _SPANS:
         x = np.clip((share - low) / (high - low), 0.0, 1.0)
         shape = 64.0 * (x * (1.0 - x)) ** 3  # curvature is continuous at its ends
-        found += [with_headings(poses[:, :2] + b * shape[:, None] * normal, poses) for b in _BUMPS_M]
+        found += [with_headings(poses[:, :2] + b * shape[:, None] * normal, poses) for b in bumps_m]
     return found
 
 

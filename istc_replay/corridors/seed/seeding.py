@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from istc_replay.corridors.seed.lattice import CLEAR_M, Lattice
-from istc_replay.corridors.seed.paths import SeedPath, candidate_paths
+from istc_replay.corridors.seed.paths import SeedPath, candidate_paths, detours
 from istc_replay.corridors.seed.repair import Repair
 from istc_replay.datatypes import FloatArray, Guidance, read_only
 
@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 
 #: Below this speed at the end of its recording a vehicle has a goal there.
 _STANDING_MPS = 0.5
+#: Who has fewer candidate paths past the obstacles gets detours too.
+_FEW_PATHS = 6
 
 
 def make_lattices(
@@ -47,10 +49,17 @@ def make_lattices(
             )
 
         all_of_them = along(paths)
-        clear = [path for path, ok in zip(paths, all_of_them.reachable(), strict=True) if ok]
+        clear = _reachable(all_of_them)
+        if len(standing) and len(clear) < _FEW_PATHS:
+            more = detours(guide, car, standing, scenario.bounds_m, gap)
+            clear += _reachable(along(more)) if more else []
         return along(clear, overlap_max_m=CLEAR_M) if clear else all_of_them
 
     return tuple(lattice(p, g) for p, g in zip(scenario.participants, guidance, strict=True))
+
+
+def _reachable(lattice: Lattice) -> list[SeedPath]:
+    return [path for path, ok in zip(lattice.paths, lattice.reachable(), strict=True) if ok]
 
 
 def frames_of(repair: Repair, guidance: Sequence[Guidance]) -> tuple[Guidance, ...]:
