@@ -30,6 +30,8 @@ _CURVATURE_MAX_1PM = 0.27
 _LATERAL_MPS2 = 3.0
 _STEERING_RATE_RADPS = 0.7
 _SAMPLE_M = 0.5
+#: Who drives less has no other way.
+_STAYS_M = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -75,6 +77,8 @@ def candidate_paths(
     """
     own = _axle_path(guide, car)
     found = [_seed_path(own, car, guide.speed_mps, sharp=True)]
+    if found[0] is not None and found[0].length_m < _STAYS_M:
+        return [found[0]]
     bumped = _bumped(own)
     for room in _ROOMS_M if len(boxes_m) else ():
         clear = drawn_clear(own, car, boxes_m, bounds_m, gap_m + room)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
-from istc_replay.corridors.seed.paths import candidate_paths
-from istc_replay.datatypes import Dimensions
+from istc_replay.corridors.seed.paths import candidate_paths, detours
+from istc_replay.datatypes import Dimensions, read_only
 
 CAR = Dimensions(4.0, 2.0, 2.7, 1.35)
 
@@ -28,3 +29,21 @@ def test_sharp_candidates_are_driven_slowly(meeting: Any) -> None:
     for path in candidate_paths(guidance[0], CAR, np.empty((0, 4)), None, 0.2):
         fast = path.speeds_mps > 5.0
         assert (path.speeds_mps**2 * np.abs(path.curvatures_1pm))[fast].max(initial=0.0) <= 3.3
+
+
+def test_detours_lead_through_other_openings(meeting: Any) -> None:
+    # A wall with openings at y = -1.5 .. 1.5 and y = 6 .. 10.
+    wall = np.array([[-1.0, 1.0, 1.5, 6.0], [-1.0, 1.0, 10.0, 25.0], [-1.0, 1.0, -25.0, -1.5]])
+    _, guidance, _ = meeting([(-15.0, 0.0, 0.0)])
+    found = detours(guidance[0], CAR, wall, (-25.0, 25.0, -25.0, 25.0), 0.2)
+    at_the_wall = [float(np.interp(0.0, path.poses[:, 0], path.poses[:, 1])) for path in found]
+    assert any(-1.5 < y < 1.5 for y in at_the_wall)
+    assert any(6.5 < y < 9.5 for y in at_the_wall)
+
+
+def test_who_stays_has_one_way(meeting: Any) -> None:
+    _, (guide,), _ = meeting([(-15.0, 0.0, 0.0)])
+    still = replace(guide, poses=read_only(np.repeat(guide.poses[:1], len(guide.poses), axis=0)))
+    paths = candidate_paths(still, CAR, np.array([[-2.0, 2.0, -5.0, -1.0]]), None, 0.2)
+    assert len(paths) == 1
+    assert np.isfinite(paths[0].poses).all()

@@ -48,3 +48,49 @@ def test_two_that_cannot_pass_are_told_within_the_budget(meeting: Any) -> None:
     assert not repair.run(5, 5)
     assert repair.rounds <= 5
     assert (0, 1) in repair.conflicts()
+
+
+def test_a_pair_that_is_kept_apart_more_is_repaired_to_it(meeting: Any) -> None:
+    lattices = meeting(FOUR_WAYS)[2]
+    repair = Repair(lattices, 0.3, 0)
+    assert repair.run(60, 5)
+
+    def apart(unit: int) -> float:
+        a, b = (repair.motions[v].cubes_m[unit] for v in (0, 2))
+        return float(max(a[0] - b[1], b[0] - a[1], a[2] - b[3], b[2] - a[3]))
+
+    nearest = min(range(24), key=apart)
+    more = apart(nearest) + 0.5
+    repair.keep_apart(2, 0, nearest, more)
+    assert (0, 2) in repair.conflicts()
+    assert repair.run(60, 5)
+    assert apart(nearest) >= more
+
+
+def test_who_is_barred_passes_elsewhere_or_is_told_to_have_no_way(meeting: Any) -> None:
+    # The opening is 0.8 m narrower than the car-box with its gaps: allowed to a seed, not to layer 1.
+    walls = ((-2.0, 2.0, 1.0, 24.9), (-2.0, 2.0, -24.9, -1.0))
+    lattices = meeting(FOUR_WAYS[:1], walls)[2]
+    repair = Repair(lattices, 0.3, 0)
+    assert repair.run(5, 0)
+    for _ in range(200):
+        before = repair.motions[0]
+        at = [unit for unit in range(24) if before.cubes_m[unit, 1] > -2.0 and before.cubes_m[unit, 0] < 2.0]
+        if not at:
+            break
+        repair.bar(0, at[0])
+        if not repair.run(5, 0):
+            break
+        after = repair.motions[0]
+        assert after.path != before.path or (after.places != before.places).any()
+    assert repair.no_way == 0 or not repair.arrives
+
+
+def test_improving_goes_on_while_somebody_does_not_arrive(meeting: Any) -> None:
+    lattices = meeting(FOUR_WAYS, units=16)[2]
+    short = Repair(lattices, 0.3, 2)
+    assert short.run(60, 0)
+    longer = Repair(lattices, 0.3, 2)
+    assert longer.run(60, 5)
+    assert longer.cost <= short.cost
+    assert longer.arrives >= short.arrives
