@@ -22,7 +22,7 @@ PALETTE: tuple[Colour, ...] = (
 #: What was recorded, and the lines of the map: readable on light and dark grounds.
 RECORDED: Colour = (128, 128, 128)
 LANE: Colour = (140, 140, 140)
-EDGE: Colour = (150, 110, 70)
+EDGE: Colour = (172, 172, 160)
 OBSTACLE: Colour = (96, 96, 96)
 
 #: Beyond one round of the palette its colours come again, a shade darker, then a shade lighter.

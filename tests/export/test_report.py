@@ -335,6 +335,44 @@ def test_many_solves_are_summed_up(synthetic_result: Result, unpictured: None) -
     assert "20.000" in words
 
 
+def test_what_coordination_changed_is_told_of_those_that_it_changed(
+    synthetic_result: Result, unpictured: None
+) -> None:
+    same = {
+        "changed": False,
+        "delay_s": 0.0,
+        "deviation_m": 0.0,
+        "clearance_m": 3.0,
+        "clearance_gained_m": 0.0,
+    }
+    moved = {
+        "changed": True,
+        "delay_s": -0.0004,
+        "deviation_m": 1.234,
+        "lateral_m": 0.5,
+        "acceleration_rms_mps2": -0.11,
+        "braking_mps2": 0.25,
+        "clearance_m": 0.75,
+        "clearance_gained_m": 0.314,
+    }
+    bound = {"bound": "road", "margin_m": 0.17, "excursion_m": 0.5, "recorded_off_road_m": 0.21}
+    vehicles = synthetic_result.summary["windows"][0]["vehicles"]
+    told = [v | {"coordination": moved if v["id"] == "car 2" else same, "lateral": None} for v in vehicles]
+
+    def words(rows: list[dict[str, Any]]) -> str:
+        return Page(report_html(with_window(synthetic_result, vehicles=rows), "x")).words
+
+    scene = words(told)
+    assert "2 of 3 plans are the guidance: vehicles car 1 and car 3." in scene
+    assert "car 2 0.00 1.23 0.50 −0.11 0.25 0.75 0.31 Vehicles" in scene
+    traffic = words([v | {"lateral": bound} if v["id"] == "car 2" else v for v in told])
+    assert "are the recording, made drivable" in traffic
+    assert "car 2 0.00 1.23 0.50 −0.11 0.25 0.75 0.31 0.17 the road's edge" in traffic
+    assert "Recorded beyond the road's edge: car 2 by 0.21 m." in traffic
+    assert "Nothing: 3 of 3 plans are the guidance." in words([v | {"coordination": same} for v in vehicles])
+    assert "What coordination changed" not in words(vehicles)
+
+
 def test_a_result_without_windows_is_still_a_report(synthetic_result: Result) -> None:
     bare = {"windows": [], "input": None, "totals": None, "versions": None}
     empty = replace(

@@ -12,6 +12,7 @@ from istc_replay.export.report.markup import (
     NOTHING,
     Html,
     element,
+    fixed,
     join,
     name,
     names,
@@ -104,10 +105,10 @@ def against_plan_table(rows: list[Row], windows: bool) -> Html | None:
             name(row["vehicle_id"]),
             *((number(row["window"]),) if windows else ()),
             _exit(row),
-            number(row["deepest_m"], 2),
-            number(row["deviation_mean_m"], 2),
-            number(row["deviation_most_m"], 2),
-            number(row["delay_end_s"], 2),
+            fixed(row["deepest_m"], 2),
+            fixed(row["deviation_mean_m"], 2),
+            fixed(row["deviation_most_m"], 2),
+            fixed(row["delay_end_s"], 2),
             _both(row, "braking_mps2"),
             _both(row, "lateral_mps2"),
             _both(row, "jerk_mps3"),
@@ -133,4 +134,4 @@ def _exit(row: Row) -> str:
 
 
 def _both(row: Row, what: str) -> str:
-    return f"{number(row[f'recorded_{what}'], 1)} / {number(row[f'planned_{what}'], 1)}"
+    return f"{fixed(row[f'recorded_{what}'], 1)} / {fixed(row[f'planned_{what}'], 1)}"

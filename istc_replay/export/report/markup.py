@@ -108,6 +108,13 @@ def number(value: Any, digits: int = 2, unit: str = "") -> str:
     return f"{text.replace('-', '−')}{' ' + unit if unit else ''}"
 
 
+def fixed(value: Any, digits: int) -> str:
+    """A number with these decimals however small it is; a dash where there is none."""
+    if isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < 0.5 * 10.0**-digits:
+        value = 0.0
+    return number(value, digits)
+
+
 def table(
     caption: Content, headings: Sequence[str], rows: Iterable[Sequence[Content]], numeric: Iterable[int] = ()
 ) -> Html:

@@ -104,7 +104,7 @@ def verdict_box(entry: dict[str, Any], certificates: Sequence[dict[str, Any]], v
     return element(
         "div",
         element("p", verdict.sentence),
-        element("p", "Reason: ", prose(reason)) if reason else None,
+        element("p", "Note: " if verdict.tone == "good" else "Reason: ", prose(reason)) if reason else None,
         element("p", "Proven: ", join(proven, "; "), ".") if proven else None,
         element("p", "Least gap between two vehicles, as recorded: ", least_text(entry.get("recorded")), "."),
         element("p", "Least gap between two vehicles, as planned: ", least_text(verdict.planned), ".")

@@ -7,6 +7,7 @@ from typing import Any
 
 import polars as pl
 
+from istc_replay.export.report.changed import changed_section
 from istc_replay.export.report.findings import against_plan_table
 from istc_replay.export.report.header import moment
 from istc_replay.export.report.markup import (
@@ -14,6 +15,7 @@ from istc_replay.export.report.markup import (
     Html,
     element,
     facts,
+    fixed,
     join,
     name,
     names,
@@ -46,6 +48,7 @@ def window_section(
     """Build the section of one window; `folded` hides all but the verdict until it is opened."""
     start_ns = int(entry["start_ns"])
     parts = [
+        changed_section(entry),
         _vehicles(entry, swatch),
         _exclusions(entry),
         _layer_1(entry),
@@ -87,11 +90,10 @@ def _vehicles(entry: Row, swatch: Callable[[str], Html]) -> Html:
             number(vehicle.get("priority"), 3),
             name(vehicle.get("guidance") or NOTHING),
             _units(vehicle),
-            number(vehicle.get("corridor_area_m2"), 1),
-            number(vehicle.get("pivot_deviation_m"), 2),
-            number(vehicle.get("speed_std_mps"), 2),
-            number(vehicle.get("length_m"), 1),
-            *_changed(vehicle.get("coordination") or {}),
+            fixed(vehicle.get("corridor_area_m2"), 1),
+            fixed(vehicle.get("pivot_deviation_m"), 2),
+            fixed(vehicle.get("speed_std_mps"), 2),
+            fixed(vehicle.get("length_m"), 1),
             name(vehicle.get("dimensions_source") or NOTHING),
         )
         for vehicle in entry.get("vehicles") or []
@@ -105,27 +107,14 @@ def _vehicles(entry: Row, swatch: Callable[[str], Html]) -> Html:
         "deviation [m]",
         "speed σ [m/s]",
         "path [m]",
-        "delay [s]",
-        "moved [m]",
-        "comfort [m/s²]",
-        "clearance [m]",
         "size from",
     )
     caption = (
         "Plannable vehicles: priority weight, area of all corridor-cubes, mean distance of the pivotal "
-        "points from their references, standard deviation of the planned speed, length of the planned path; "
-        "then what coordination changed of the guidance (in traffic the recording, repaired): delay at the "
-        "end, largest distance at the same instant, rise of the mean acceleration, gain of the least gap to "
-        "any other road user. Zeros: nothing had to change"
+        "points from their references, standard deviation of the planned speed, length of the planned path"
     )
-    listed = table(caption, headings, rows, (1, 4, 5, 6, 7, 8, 9, 10, 11)) if rows else None
+    listed = table(caption, headings, rows, (1, 4, 5, 6, 7)) if rows else None
     return join([element("h3", "Vehicles"), counts, listed])
-
-
-def _changed(change: Row) -> tuple[Html | str, ...]:
-    """Cells of what coordination changed of a vehicle."""
-    names = (("delay_s", 2), ("deviation_m", 2), ("acceleration_rms_mps2", 2), ("clearance_gained_m", 2))
-    return tuple(number(change.get(key), digits) for key, digits in names)
 
 
 def _units(vehicle: Row) -> str:
