@@ -9,20 +9,44 @@ their names, corridors, trails and plots wait under `quiet`, one click away.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import polars as pl
 
-from istc_replay.export.rerun_clearance import Clearance
-from istc_replay.export.rerun_stage import Span, Stage
+from istc_replay.export.rerun_clearance import Clearance, Leasts, add_leasts, closest_pairs
+from istc_replay.export.rerun_stage import Span, Stage, height_of_second, tower_shares
 
 #: So many vehicles are shown in full.
 LEADING = 12
+#: Of results with more states only the starring vehicles are plotted.
+_QUIET_STATES = 400_000
 SEVERITIES = ("critical", "serious", "minor")
 
 
-def cast(stage: Stage, found: list[Clearance], focus: Iterable[str] = ()) -> Stage:
+@dataclass(slots=True)
+class Survey:
+    """What the parts of a result add up to: who matters most, and how high a second is."""
+
+    vehicle_ids: set[str] = field(default_factory=set)
+    leasts: Leasts = field(default_factory=dict)
+    shares: list[float] = field(default_factory=list)
+    states: int = 0
+
+    def add(self, stage: Stage, found: list[Clearance]) -> None:
+        """Add a part."""
+        self.vehicle_ids.update(stage.vehicle_ids)
+        add_leasts(self.leasts, found)
+        self.shares += tower_shares(stage.spans, stage.grounds)
+        self.states += stage.states_shown
+
+    @property
+    def height_m(self) -> float:
+        """Height of a second [m]."""
+        return height_of_second(self.shares)
+
+
+def cast(stage: Stage, found: list[Clearance], focus: Iterable[str], whole: Survey) -> Stage:
     """The stage with its leading vehicles; `focus` names them, where it is not empty."""
     asked = frozenset(focus)
     findings = stage.result.findings
@@ -30,12 +54,20 @@ def cast(stage: Stage, found: list[Clearance], focus: Iterable[str] = ()) -> Sta
     for span in stage.spans:
         during = (pl.col("start_ns") <= span.end_ns) & (pl.col("end_ns") >= span.start_ns)
         own = [clearance for clearance in found if clearance.window == span.index]
-        order = _ranked(_present(stage, span), findings.filter(during), own)
+        leasts: Leasts = {}
+        add_leasts(leasts, own)
+        order = _ranked(_present(stage, span), findings.filter(during), leasts)
         leading[span.index] = asked or frozenset(order[:LEADING])
         closest = min(own, key=lambda c: (c.least_m, c.pair), default=None)
         follows[span.index] = tuple(sorted(asked)) or (closest.pair if closest else ())
-    order = _ranked(stage.vehicle_ids, findings, found)
-    return replace(stage, starring=asked or frozenset(order[:LEADING]), leading=leading, follows=follows)
+    return replace(
+        stage,
+        starring=asked or frozenset(_ranked(whole.vehicle_ids, findings, whole.leasts)[:LEADING]),
+        leading=leading,
+        follows=follows,
+        closest=closest_pairs(whole.leasts),
+        plots_all=whole.states <= _QUIET_STATES,
+    )
 
 
 def _present(stage: Stage, span: Span) -> list[str]:
@@ -46,7 +78,7 @@ def _present(stage: Stage, span: Span) -> list[str]:
     return sorted(present)
 
 
-def _ranked(vehicle_ids: list[str], findings: pl.DataFrame, found: list[Clearance]) -> list[str]:
+def _ranked(vehicle_ids: Iterable[str], findings: pl.DataFrame, leasts: Leasts) -> list[str]:
     """Vehicles by the severity of their worst finding, then by their least clearance."""
     worst: dict[str, int] = {}
     for severity, vehicles in findings.select("severity", "vehicles").iter_rows():
@@ -54,7 +86,7 @@ def _ranked(vehicle_ids: list[str], findings: pl.DataFrame, found: list[Clearanc
         for vehicle_id in vehicles or []:
             worst[vehicle_id] = min(rank, worst.get(vehicle_id, rank))
     least: dict[str, float] = {}
-    for clearance in found:
-        for vehicle_id in clearance.pair:
-            least[vehicle_id] = min(clearance.least_m, least.get(vehicle_id, np.inf))
+    for (_, pair), gap_m in leasts.items():
+        for vehicle_id in pair:
+            least[vehicle_id] = min(gap_m, least.get(vehicle_id, np.inf))
     return sorted(vehicle_ids, key=lambda v: (worst.get(v, 9), least.get(v, np.inf), v))

@@ -57,17 +57,25 @@ def clearances(stage: Stage) -> list[Clearance]:
     return found
 
 
-def closest_pairs(found: list[Clearance]) -> list[tuple[str, str]]:
+#: The least gap of each pair by source and pair [m].
+Leasts = dict[tuple[str, tuple[str, str]], float]
+
+
+def add_leasts(leasts: Leasts, found: list[Clearance]) -> None:
+    """Add clearances to the least gaps."""
+    for clearance in found:
+        key = clearance.source, clearance.pair
+        leasts[key] = min(clearance.least_m, leasts.get(key, np.inf))
+
+
+def closest_pairs(leasts: Leasts) -> tuple[tuple[str, str], ...]:
     """The pairs with the least gaps, as recorded and as planned, closest first."""
     chosen: dict[tuple[str, str], float] = {}
     for source in ("recorded", "planned"):
-        least: dict[tuple[str, str], float] = {}
-        for clearance in found:
-            if clearance.source == source:
-                least[clearance.pair] = min(clearance.least_m, least.get(clearance.pair, np.inf))
+        least = {pair: gap for (own, pair), gap in leasts.items() if own == source}
         for pair in sorted(least, key=lambda pair: (least[pair], pair))[:PAIRS_DRAWN]:
             chosen[pair] = min(least[pair], chosen.get(pair, np.inf))
-    return sorted(chosen, key=lambda pair: (chosen[pair], pair))
+    return tuple(sorted(chosen, key=lambda pair: (chosen[pair], pair)))
 
 
 def least_by_vehicle(found: list[Clearance], window: int, source: str) -> dict[str, float]:

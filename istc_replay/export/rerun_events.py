@@ -60,7 +60,7 @@ def event_chunks(stage: Stage, found: list[Clearance]) -> list[Chunk]:
 
 
 def _input_events(stage: Stage) -> list[Event]:
-    problems = stage.result.summary["input"].get("problems", [])
+    problems = stage.result.summary["input"].get("problems", []) if stage.anchor.from_ns is None else []
     start = stage.clock.origin_ns
     events = [Event(start, "log", "WARN", f"log: {p['code']}: {p['detail']}") for p in problems[:ROWS]]
     if len(problems) > ROWS:

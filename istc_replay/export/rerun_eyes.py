@@ -37,8 +37,7 @@ def _pinhole(path: str) -> Chunk:
 
 def _eye_times(stage: Stage) -> list[int]:
     """Since when each window's eye is in force: the first since the first record."""
-    first = min([stage.spans[0].start_ns, *(int(track.times_ns[0]) for track in stage.recorded.values())])
-    return [first, *(span.start_ns for span in stage.spans[1:])]
+    return [stage.first_ns, *(span.start_ns for span in stage.spans[1:])]
 
 
 def _oblique(stage: Stage) -> list[Chunk]:

@@ -34,13 +34,15 @@ def worst_first(findings: pl.DataFrame) -> pl.DataFrame:
 
 def findings_lines(stage: Stage) -> Iterator[tuple[int, str, str, str]]:
     """Lines of the log: instant [ns], kind, level and text."""
+    low, high = stage.limits_ns
     findings = worst_first(stage.result.findings)
-    for row in findings.head(_LINES).iter_rows(named=True):
+    own = findings.head(_LINES).filter((pl.col("worst_ns") >= low) & (pl.col("worst_ns") < high))
+    for row in own.iter_rows(named=True):
         seconds = (row["end_ns"] - row["start_ns"]) / 1e9
         lasting = f" for {seconds:.1f} s" if seconds > 0.0 else ""
         text = f"{_headline(row)}{lasting}, id {row['finding_id']}" + _after(row["detail"])
         yield row["worst_ns"], "findings", _LEVELS.get(row["severity"] or "", "INFO"), text
-    if findings.height > _LINES:
+    if findings.height > _LINES and stage.anchor.from_ns is None:
         text = f"{findings.height - _LINES} more findings: istc-replay audit tells all of them"
         yield stage.clock.origin_ns, "findings", "WARN", text
 
@@ -63,6 +65,8 @@ def finding_chunks(stage: Stage) -> list[Chunk]:
     """
     chunks: list[Chunk] = []
     for row, more in _marks(stage.result.findings):
+        if not stage.in_part(np.array([row["start_ns"]]))[0]:
+            continue
         point = at_height([[row["x_m"] - stage.origin_m[0], row["y_m"] - stage.origin_m[1]]], 0.0)
         colour = _COLOURS.get(row["severity"] or "", LANE)
         place = ("shared",) if row["severity"] in ("critical", "serious") else ("quiet",)

@@ -60,7 +60,7 @@ def _plane(stage: Stage) -> list[Chunk]:
     times, heights, squares = [], [], []
     for span in stage.spans:
         own = np.arange(span.start_ns, span.shown_end_ns, _STEP_NS, dtype=np.int64)
-        if span is stage.spans[-1]:
+        if span is stage.spans[-1] and stage.anchor.until_ns is None:
             own = np.append(own, span.end_ns)
         times.append(own)
         heights.append(stage.height_m(span, own))

@@ -24,7 +24,7 @@ from rerun.chunk import Chunk
 from istc_replay.datatypes import FloatArray
 from istc_replay.export.colours import LANE, PALETTE, Colour
 from istc_replay.export.rerun_chunks import FOREVER_NS, IntArray, each, entity, ragged, same, shown, static
-from istc_replay.export.rerun_clearance import HORIZON_M, Clearance, closest_pairs
+from istc_replay.export.rerun_clearance import HORIZON_M, Clearance
 from istc_replay.export.rerun_stage import Span, Stage, greyed
 from istc_replay.export.rerun_tracks import Track
 
@@ -32,8 +32,6 @@ STOP_MPS = 0.3
 YIELD_SHARE = 0.85
 TURN_RADPS = 0.1
 _SHORTEST_NS = 400_000_000
-#: Of results with more states only the starring vehicles are plotted.
-_QUIET_STATES = 400_000
 _STATE_COLOURS: dict[str, Colour] = {
     "cruise": (70, 150, 80),
     "yield": (205, 130, 30),
@@ -55,17 +53,12 @@ def plot_chunks(stage: Stage, found: list[Clearance]) -> list[Chunk]:
     chunks = _limits(stage)
     for source, tracks in (("recorded", stage.recorded), ("planned", stage.in_force)):
         for track in tracks.values():
-            if track.vehicle_id in stage.starring or plots_all(stage):
-                chunks += _signals(stage, source, track)
+            own = stage.own(track)
+            if len(own.times_ns) and (track.vehicle_id in stage.starring or stage.plots_all):
+                chunks += _signals(stage, source, own)
     for vehicle_id in stage.vehicle_ids:
         chunks += _states(stage, vehicle_id)
     return chunks + _clearances(stage, found) + _precedence(stage)
-
-
-def plots_all(stage: Stage) -> bool:
-    """Whether the plots of all vehicles are small enough to be in the view, those of the others quietly."""
-    tracks = (*stage.recorded.values(), *stage.in_force.values())
-    return sum(len(track.times_ns) for track in tracks) <= _QUIET_STATES
 
 
 # --- plots -----------------------------------------------------------------------------------
@@ -133,7 +126,7 @@ def _scalars(stage: Stage, path: str, times_ns: IntArray, values: FloatArray) ->
 def _clearances(stage: Stage, found: list[Clearance]) -> list[Chunk]:
     """Clearances of the closest pairs over all windows, NaN between the windows of a pair."""
     chunks = []
-    for number, pair in enumerate(closest_pairs(found)):
+    for number, pair in enumerate(stage.closest):
         for source in ("recorded", "planned"):
             own = [c for c in found if c.pair == pair and c.source == source]
             if not own:
@@ -167,10 +160,9 @@ def manoeuvres(stage: Stage, vehicle_id: str) -> list[tuple[int, int, str]]:
             stretches += _window_manoeuvres(span, track, stage.guidance.get((span.index, vehicle_id)))
     recorded = stage.recorded.get(vehicle_id)
     if not planned and recorded is not None:
-        for part in recorded.segments():
-            stretches.append(
-                (int(recorded.times_ns[part][0]), int(recorded.ends_ns[part][-1]), "not planned")
-            )
+        own = stage.own(recorded)
+        for part in own.segments():
+            stretches.append((int(own.times_ns[part][0]), int(own.ends_ns[part][-1]), "not planned"))
     return stretches
 
 

@@ -13,16 +13,13 @@ from istc_replay.export.rerun_chunks import FOREVER_NS, each, entity, label, sam
 from istc_replay.export.rerun_clearance import HORIZON_M, Clearance, least_by_vehicle
 from istc_replay.export.rerun_findings import findings_text
 from istc_replay.export.rerun_markdown import escaped, number, table
-from istc_replay.export.rerun_plots import plots_all
 from istc_replay.export.rerun_stage import Span, Stage
 
 
 def report_chunks(stage: Stage, found: list[Clearance]) -> list[Chunk]:
     """The report: one document a window, shown while its window is."""
     documents = [_document(stage, span, found) for span in stage.spans] or [_source(stage)]
-    tracks = stage.recorded.values()
-    first = min([stage.clock.origin_ns, *(int(track.times_ns[0]) for track in tracks)])
-    times = [first, *(span.start_ns for span in stage.spans[1:])]
+    times = [stage.first_ns, *(span.start_ns for span in stage.spans[1:])]
     return shown(
         stage.clock,
         entity("report"),
@@ -74,10 +71,10 @@ def _cast(stage: Stage, span: Span) -> str:
     if set(stage.vehicle_ids) <= stage.starring:
         return ""
     here, plotted = (
-        ", ".join(escaped(stage.names[vehicle_id]) for vehicle_id in sorted(ids, key=lambda v: (len(v), v)))
+        ", ".join(escaped(label(vehicle_id)) for vehicle_id in sorted(ids, key=lambda v: (len(v), v)))
         for ids in (stage.leading[span.index], stage.starring)
     )
-    rest = "under *quiet* in the views' trees" if plots_all(stage) else "by `view --focus ID`"
+    rest = "under *quiet* in the views' trees" if stage.plots_all else "by `view --focus ID`"
     return (
         f"### Shown in full\n\n- named and with corridors here: {here}\n- plotted: {plotted}\n"
         f"- corridors of the others: under *quiet* in the views' trees; their plots: {rest}"

@@ -47,14 +47,15 @@ class Span:
 
 @dataclass(frozen=True, slots=True)
 class Anchor:
-    """What windows of a result that is still being made have in common.
+    """What the parts of a result have in common, that is still being made or too long to be held at once.
 
     Parameters
     ----------
     origin_ns, origin_m
         Where the whole result's `scenario_time` and the view's places begin; None: with its first window.
-    until_ns
-        Start of the window after the last one here; None where there is none.
+    from_ns, until_ns
+        Starts of the first window here and of the window after the last one: what is before and
+        after belongs to other parts. None where there is none.
     first_unit
         Number of its first time unit.
     metres_per_second
@@ -63,6 +64,7 @@ class Anchor:
 
     origin_ns: int | None = None
     origin_m: tuple[float, float] | None = None
+    from_ns: int | None = None
     until_ns: int | None = None
     first_unit: int = 0
     metres_per_second: float | None = None
@@ -109,7 +111,8 @@ class Stage:
     `planned` and `guidance` by window and vehicle. `grounds` by window. `starring` are the vehicles
     whose plots are shown, `leading` by window those that are named and whose corridors are shown
     there; the rest waits under `quiet` (see `rerun_cast`). `follows` are the vehicles that the
-    close-up follows by window. `followed`: windows come after the last one here.
+    close-up follows by window, `closest` the pairs whose clearance is plotted; `plots_all`: those of
+    the others are in the view too. `anchor` tells which part of a result this is.
     """
 
     result: Result
@@ -125,7 +128,9 @@ class Stage:
     guidance: dict[tuple[int, str], Track]
     names: dict[str, str]
     grounds: dict[int, Ground]
-    followed: bool = False
+    anchor: Anchor = Anchor()
+    plots_all: bool = True
+    closest: tuple[tuple[str, str], ...] = ()
     starring: frozenset[str] = frozenset()
     leading: dict[int, frozenset[str]] = field(default_factory=dict)
     follows: dict[int, tuple[str, ...]] = field(default_factory=dict)
@@ -134,6 +139,35 @@ class Stage:
     def vehicle_ids(self) -> list[str]:
         """All vehicles, sorted."""
         return sorted(self.colours)
+
+    @property
+    def first_ns(self) -> int:
+        """Since when the first window's view is shown: since the first record, where no part is before."""
+        if self.anchor.from_ns is not None:
+            return self.anchor.from_ns
+        tracks = self.recorded.values()
+        return min([self.clock.origin_ns, *(int(track.times_ns[0]) for track in tracks)])
+
+    @property
+    def states_shown(self) -> int:
+        """States of all vehicles, recorded and in force."""
+        tracks = (*self.recorded.values(), *self.in_force.values())
+        return sum(len(self.own(track).times_ns) for track in tracks)
+
+    @property
+    def limits_ns(self) -> tuple[int, int]:
+        """Start and end of the time that this part shows."""
+        low, high = self.anchor.from_ns, self.anchor.until_ns
+        return -FOREVER_NS if low is None else low, FOREVER_NS if high is None else high
+
+    def own(self, track: Track) -> Track:
+        """The states of a track that this part shows."""
+        return track.between(*self.limits_ns)
+
+    def in_part(self, times_ns: IntArray) -> BoolArray:
+        """Whether instants (S,) are in the time that this part shows."""
+        low, high = self.limits_ns
+        return (times_ns >= low) & (times_ns < high)
 
     def height_m(self, span: Span, times_ns: ArrayLike) -> FloatArray:
         """Height of instants in the (x, y, t) view: every window starts on the ground."""
@@ -161,7 +195,7 @@ class Stage:
     def overview_end_ns(self, span: Span) -> int:
         """When a window's overview is cleared: never, if nothing at all follows it."""
         last = max((int(track.times_ns[-1]) for track in self.recorded.values()), default=0)
-        follows = span is not self.spans[-1] or last > span.end_ns or self.followed
+        follows = span is not self.spans[-1] or last > span.end_ns or self.anchor.until_ns is not None
         return span.shown_end_ns if follows else FOREVER_NS
 
     def overview(self, spans: list[Span]) -> tuple[IntArray, IntArray]:
@@ -230,7 +264,8 @@ def make_stage(result: Result, view: ViewConfig, anchor: Anchor = Anchor()) -> S
     shown_end = {s.index: s.shown_end_ns if s is not spans[-1] else until_ns for s in spans}
     in_force = states.filter(
         pl.col("source") == "planned",
-        pl.col("time_ns") < pl.col("window").replace_strict(shown_end, default=0, return_dtype=pl.Int64),
+        pl.col("time_ns")
+        < pl.col("window").replace_strict(shown_end, default=anchor.from_ns or 0, return_dtype=pl.Int64),
     )
     ids = sorted(set(states["vehicle_id"]) | set(result.corridors["vehicle_id"]))
     stage = Stage(
@@ -247,10 +282,12 @@ def make_stage(result: Result, view: ViewConfig, anchor: Anchor = Anchor()) -> S
         guidance=sources["guidance"],
         names={vehicle_id: label(vehicle_id) for vehicle_id in ids},
         grounds={},
-        followed=anchor.until_ns is not None,
+        anchor=anchor,
     )
     grounds = {span.index: _ground(stage, span) for span in spans}
-    height = view.metres_per_second or anchor.metres_per_second or _metres_per_second(spans, grounds)
+    height = (
+        view.metres_per_second or anchor.metres_per_second or height_of_second(tower_shares(spans, grounds))
+    )
     return replace(stage, grounds=grounds, metres_per_second=height)
 
 
@@ -326,11 +363,12 @@ def _ground(stage: Stage, span: Span) -> Ground:
     return Ground(rotate((low + high) / 2.0, yaw), (high - low) / 2.0, yaw)
 
 
-def _metres_per_second(spans: tuple[Span, ...], grounds: dict[int, Ground]) -> float:
-    """A second's height that makes the middle window's tower 0.4 of the mean side of its ground."""
+def tower_shares(spans: tuple[Span, ...], grounds: dict[int, Ground]) -> list[float]:
+    """By window the height of a second that makes its tower 0.4 of the mean side of its ground [m]."""
     sides = [2.0 * float(np.sqrt(grounds[span.index].half_m.prod())) for span in spans]
-    shares = [_TOWER * side / span.duration_s for side, span in zip(sides, spans, strict=True)]
-    if not shares:
-        return 1.0
-    # Two digits: a scale that can be read.
-    return float(f"{np.median(shares):.1e}")
+    return [_TOWER * side / span.duration_s for side, span in zip(sides, spans, strict=True)]
+
+
+def height_of_second(shares: list[float]) -> float:
+    """A second's height [m]: that of the middle window's tower, with two digits, so that it can be read."""
+    return float(f"{np.median(shares):.1e}") if shares else 1.0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from dataclasses import dataclass
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import polars as pl
@@ -51,6 +51,14 @@ class Track:
         """Times and poses (n, 4) of the states from start to end."""
         rows = (self.times_ns >= start_ns) & (self.times_ns <= end_ns)
         return np.column_stack([(self.times_ns[rows] - start_ns) / 1e9, self.poses[rows]])
+
+    def between(self, start_ns: int, end_ns: int) -> Track:
+        """The states from start until before end, each shown as long as it is in the whole."""
+        rows = slice(*np.searchsorted(self.times_ns, [start_ns, end_ns]).tolist())
+        if rows == slice(0, len(self.times_ns)):
+            return self
+        columns = (f.name for f in fields(self) if f.name != "vehicle_id")
+        return replace(self, **{name: getattr(self, name)[rows] for name in columns})
 
     def segments(self) -> list[slice]:
         """The stretches between interruptions."""

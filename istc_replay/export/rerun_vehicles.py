@@ -41,10 +41,9 @@ def vehicle_chunks(stage: Stage) -> list[Chunk]:
     for vehicle_id in stage.vehicle_ids:
         for root, spans in stage.roots("now", vehicle_id):
             chunks += _cubes(stage, vehicle_id, root, spans) + _paths(stage, vehicle_id, root, spans)
-        if vehicle_id in stage.recorded:
-            chunks += _recorded(stage, stage.recorded[vehicle_id])
-        if vehicle_id in stage.in_force:
-            chunks += _planned(stage, stage.in_force[vehicle_id])
+        for tracks, draw in ((stage.recorded, _recorded), (stage.in_force, _planned)):
+            if vehicle_id in tracks and len(stage.own(tracks[vehicle_id]).times_ns):
+                chunks += draw(stage, tracks[vehicle_id])
     return chunks
 
 
@@ -97,11 +96,11 @@ def _paths(stage: Stage, vehicle_id: str, root: Root, shown_in: set[int]) -> lis
 
 def _planned(stage: Stage, track: Track) -> list[Chunk]:
     name, colour = stage.names[track.vehicle_id], stage.colours[track.vehicle_id]
-    path = entity("now", "planned", "box", name)
+    path, own = entity("now", "planned", "box", name), stage.own(track)
     return [
         static(path, rr.Boxes3D.columns(colors=[colour], fill_mode=[FILL.Solid], labels=[name])),
-        *_moving_boxes(stage, path, track, _PLANNED_Z),
-        *_naming(stage, path, track),
+        *_moving_boxes(stage, path, own, _PLANNED_Z),
+        *_naming(stage, path, own),
         *_trail(stage, entity("now", "planned", "trail", name), track, colour, 2.2),
     ]
 
@@ -110,20 +109,21 @@ def _recorded(stage: Stage, track: Track) -> list[Chunk]:
     """Outlines; who has no plan is named on the box, the others where only the recording is seen."""
     name, colour = stage.names[track.vehicle_id], stage.recorded_colour(track.vehicle_id)
     path, names = entity("now", "recorded", "box", name), entity("now", "names", name)
+    own = stage.own(track)
     style = {"colors": [colour], "radii": [ui_radius(1.1)], "fill_mode": [FILL.MajorWireframe]}
     chunks = [
         static(path, rr.Boxes3D.columns(**style, labels=[name])),
-        *_moving_boxes(stage, path, track, _RECORDED_Z),
+        *_moving_boxes(stage, path, own, _RECORDED_Z),
         *_trail(stage, entity("now", "recorded", "trail", name), track, colour, 1.6),
     ]
     if track.vehicle_id not in stage.in_force:
-        return chunks + _naming(stage, path, track)
-    led = stage.leads_at(track.vehicle_id, track.times_ns)
-    places = each(rr.Points3D, positions=at_height(track.poses[led, :2], _RECORDED_Z))
+        return chunks + _naming(stage, path, own)
+    led = stage.leads_at(track.vehicle_id, own.times_ns)
+    places = each(rr.Points3D, positions=at_height(own.poses[led, :2], _RECORDED_Z))
     return [
         *chunks,
         static(names, rr.Points3D.columns(labels=[name], colors=[colour], show_labels=[True])),
-        *shown(stage.clock, names, track.times_ns[led], track.ends_ns[led], places),
+        *shown(stage.clock, names, own.times_ns[led], own.ends_ns[led], places),
     ]
 
 
@@ -158,7 +158,7 @@ def _trail(stage: Stage, path: str, track: Track, colour: Colour, width: float) 
     for part in track.segments():
         own = track.times_ns[part]
         heads = np.arange(own[0] + _TRAIL_STEP_NS, own[-1] + 1, _TRAIL_STEP_NS, dtype=np.int64)
-        led = stage.leads_at(track.vehicle_id, heads)
+        led = stage.leads_at(track.vehicle_id, heads) & stage.in_part(heads)
         if not led.any():
             continue
         past_ns = heads[led, None] - own[0] - _TRAIL_STEP_NS * np.arange(_TRAIL_POINTS)  # (n, points)

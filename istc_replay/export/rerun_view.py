@@ -7,9 +7,14 @@ again, since Rerun promises to read a file only in the version after the one tha
 from __future__ import annotations
 
 import hashlib
-from collections.abc import Sequence
-from dataclasses import dataclass
+import os
+import threading
+from bisect import bisect_right
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path, PurePath
+from typing import BinaryIO
 
 import rerun as rr
 import rerun.blueprint as rrb
@@ -17,9 +22,10 @@ from rerun.chunk import Chunk
 
 from istc_replay.config import ViewConfig
 from istc_replay.datatypes import Result
+from istc_replay.errors import ExportError
 from istc_replay.export.atomic import atomic_file
 from istc_replay.export.rerun_blueprint import CLOSE_UP, blueprint
-from istc_replay.export.rerun_cast import cast
+from istc_replay.export.rerun_cast import Survey, cast
 from istc_replay.export.rerun_chunks import label
 from istc_replay.export.rerun_clearance import Clearance, clearances
 from istc_replay.export.rerun_events import event_chunks
@@ -33,6 +39,12 @@ from istc_replay.export.rerun_stage import Anchor, Stage, make_stage
 from istc_replay.export.rerun_vehicles import vehicle_chunks
 
 APPLICATION_ID = "istc-replay"
+
+#: The longest that a part of a view may take to be written [s].
+_FLUSH_S = 300.0
+_PIECE_BYTES = 2**20
+#: Gives the parts of a result in order of time, each time that it is called.
+Parts = Callable[[], Iterator[Result]]
 
 
 def lay_out(
@@ -51,8 +63,52 @@ def lay_out(
         If the result's configuration cannot be read by this version.
     """
     stage = make_stage(result, config, anchor)
+    return _measured(stage, focus, Survey())
+
+
+def _measured(stage: Stage, focus: Sequence[str], whole: Survey) -> tuple[Stage, list[Clearance]]:
+    """A stage with its leading vehicles, and its clearances, which are added to the whole."""
     found = clearances(stage)
-    return cast(stage, found, focus), found
+    whole.add(stage, found)
+    return cast(stage, found, focus, whole), found
+
+
+def lay_out_parts(
+    result: Result, config: ViewConfig, focus: Sequence[str], parts: Parts
+) -> Iterator[tuple[Stage, list[Clearance]]]:
+    """Lay a result out part by part, as the whole would be; goes through the parts twice."""
+    whole = Survey()
+    for stage in _stages(result, config, parts):
+        whole.add(stage, clearances(stage))
+    scaled = config.model_copy(update={"metres_per_second": config.metres_per_second or whole.height_m})
+    for stage in _stages(result, scaled, parts):
+        found = clearances(stage)
+        yield cast(stage, found, focus, whole), found
+
+
+def _stages(result: Result, config: ViewConfig, parts: Parts) -> Iterator[Stage]:
+    starts = sorted(window["start_ns"] for window in result.summary["windows"])
+    anchor = Anchor()
+    for number, part in enumerate(parts()):
+        own = [window["start_ns"] for window in part.summary["windows"]]
+        following = bisect_right(starts, max(own, default=0))
+        stage = make_stage(
+            part,
+            config,
+            replace(
+                anchor,
+                from_ns=min(own) if number else None,
+                until_ns=starts[following] if following < len(starts) else None,
+            ),
+        )
+        units = len(stage.clock.unit_starts_ns) - 1
+        anchor = replace(
+            anchor,
+            origin_ns=stage.clock.origin_ns,
+            origin_m=stage.origin_m,
+            first_unit=anchor.first_unit + units,
+        )
+        yield stage
 
 
 def view_chunks(result: Result, config: ViewConfig, focus: Sequence[str] = ()) -> list[Chunk]:
@@ -105,22 +161,6 @@ class Opening:
         return blueprint(above=CLOSE_UP if self.close_up else None)
 
 
-def view_bytes(result: Result, config: ViewConfig, opening: Opening = Opening()) -> bytes:
-    """The view and its layout as the bytes of an .rrd file.
-
-    Raises
-    ------
-    ConfigError
-        If the result's configuration cannot be read by this version.
-    """
-    recording = new_recording(result)
-    # Into memory, not to a file: Rerun's file writer fails without a word when the disk is full.
-    memory = recording.memory_recording()
-    rr.send_blueprint(opening.blueprint, make_active=True, make_default=True, recording=recording)
-    send_result(result, config, opening.focus, recording)
-    return bytes(memory.drain_as_bytes())
-
-
 def new_recording(result: Result, suffix: str = "") -> rr.RecordingStream:
     """A recording of a result, not yet connected to anything."""
     return rr.RecordingStream(
@@ -132,15 +172,68 @@ def new_recording(result: Result, suffix: str = "") -> rr.RecordingStream:
 
 
 def send_result(
-    result: Result, config: ViewConfig, focus: Sequence[str], recording: rr.RecordingStream
-) -> None:
-    """Send a result's name and its chunks to a recording."""
+    result: Result,
+    config: ViewConfig,
+    focus: Sequence[str],
+    recording: rr.RecordingStream,
+    parts: Parts | None = None,
+) -> Iterator[None]:
+    """Send a result's name and its chunks to a recording, part by part; arguments as of `write_view`.
+
+    Yields
+    ------
+    None
+        After each part, to take what is sent.
+    """
     rr.send_recording_name(label(PurePath(result.summary["input"]["path"]).name), recording=recording)
-    rr.send_chunks(view_chunks(result, config, focus), recording=recording)
+    if parts is None:
+        rr.send_chunks(view_chunks(result, config, focus), recording=recording)
+        yield
+        return
+    sent: set[bytes] = set()
+    for stage, found in lay_out_parts(result, config, focus, parts):
+        rr.send_chunks(_unsent(stage_chunks(stage, found), sent), recording=recording)
+        yield
 
 
-def write_view(result: Result, config: ViewConfig, path: Path, opening: Opening = Opening()) -> None:
+def _unsent(chunks: list[Chunk], sent: set[bytes]) -> list[Chunk]:
+    """The chunks without those that hold at all times and were sent with an earlier part."""
+    kept = []
+    for chunk in chunks:
+        if chunk.is_static:
+            batch = chunk.to_record_batch()
+            told = [
+                batch.column(name).to_pylist() for name in batch.schema.names if "row_id" not in name.lower()
+            ]
+            digest = hashlib.sha256(f"{chunk.entity_path}\n{batch.schema.names}\n{told}".encode()).digest()
+            if digest in sent:
+                continue
+            sent.add(digest)
+        kept.append(chunk)
+    return kept
+
+
+def write_view(
+    result: Result,
+    config: ViewConfig,
+    path: Path,
+    opening: Opening = Opening(),
+    parts: Parts | None = None,
+) -> None:
     """Write the view and its layout as an .rrd file, whole or not at all.
+
+    Parameters
+    ----------
+    result : Result
+        The result; without its states where there are `parts`.
+    config : ViewConfig
+        How it is shown.
+    path : Path
+        The file.
+    opening : Opening
+        How it opens.
+    parts : callable, optional
+        Gives the result's parts in order of time, each time that it is called.
 
     Raises
     ------
@@ -149,6 +242,43 @@ def write_view(result: Result, config: ViewConfig, path: Path, opening: Opening 
     ExportError
         If the file cannot be written.
     """
-    content = view_bytes(result, config, opening)
-    with atomic_file(path) as temporary:
-        temporary.write_bytes(content)
+    recording = new_recording(result)
+    with atomic_file(path) as temporary, temporary.open("wb") as file, _piped(recording, file):
+        rr.send_blueprint(opening.blueprint, make_active=True, make_default=True, recording=recording)
+        for _ in send_result(result, config, opening.focus, recording, parts):
+            recording.flush(timeout_sec=_FLUSH_S)
+
+
+@contextmanager
+def _piped(recording: rr.RecordingStream, file: BinaryIO) -> Iterator[None]:
+    """Let a recording's bytes go to a file, in which all of them are after the block.
+
+    Rerun's own file writer fails without a word when the disk is full, so that it writes to a pipe.
+    """
+    reading, writing = os.pipe()
+    refused: list[OSError] = []
+
+    def pump() -> None:
+        with os.fdopen(reading, "rb", buffering=0) as pipe:
+            while data := pipe.read(_PIECE_BYTES):
+                try:
+                    if not refused:
+                        file.write(data)
+                except OSError as error:
+                    refused.append(error)
+
+    thread = threading.Thread(target=pump, daemon=True)
+    thread.start()
+    try:
+        recording.save(f"/dev/fd/{writing}")
+    finally:
+        os.close(writing)
+    try:
+        yield
+    finally:
+        recording.disconnect()
+        thread.join(_FLUSH_S)
+    if refused:
+        raise refused[0]
+    if thread.is_alive():
+        raise ExportError("the view cannot be written: Rerun does not end its stream; run again")

@@ -23,6 +23,7 @@ from istc_replay.errors import ExportError
 from istc_replay.export.rerun_stage import Anchor
 from istc_replay.export.rerun_view import (
     Opening,
+    Parts,
     lay_out,
     new_recording,
     recording_id,
@@ -130,7 +131,14 @@ def _refusals(url: str) -> Iterator[None]:
         raise ExportError(f"{url}: no viewer takes the view: {error}; is one running there?") from None
 
 
-def send_view(result: Result, config: ViewConfig, url: str, opening: Opening, instant_ns: int | None) -> None:
+def send_view(
+    result: Result,
+    config: ViewConfig,
+    url: str,
+    opening: Opening,
+    instant_ns: int | None,
+    parts: Parts | None = None,
+) -> None:
     """Send a result's view to a running viewer and set it to an instant.
 
     Parameters
@@ -139,6 +147,8 @@ def send_view(result: Result, config: ViewConfig, url: str, opening: Opening, in
         The viewer's address, `rerun+http://127.0.0.1:PORT/proxy`.
     instant_ns : int, optional
         Where it opens, from the first window's start; there, otherwise.
+    parts : callable, optional
+        As of `write_view`.
 
     Raises
     ------
@@ -148,8 +158,8 @@ def send_view(result: Result, config: ViewConfig, url: str, opening: Opening, in
     recording = connected(new_recording(result), url, opening)
     try:
         with _refusals(url):
-            send_result(result, config, opening.focus, recording)
-            recording.flush(timeout_sec=_ARRIVE_S)
+            for _ in send_result(result, config, opening.focus, recording, parts):
+                recording.flush(timeout_sec=_ARRIVE_S)
     finally:
         recording.disconnect()
     set_time(url, recording_id(result), instant_ns or 0)

@@ -6,7 +6,7 @@ A result is read whole or not at all: unlike a recorded log, nothing in it is re
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path, PurePath
 from typing import Any
@@ -16,7 +16,7 @@ import polars as pl
 from istc_replay.datatypes import Result
 from istc_replay.errors import LogError
 from istc_replay.ingest.problems import quoted
-from istc_replay.ingest.result_rows import ResultRows, Row, collect, holds_rows
+from istc_replay.ingest.result_rows import ResultRows, Row, collect, holds_rows, holds_states
 from istc_replay.ingest.walk import LogFile, open_log
 from istc_replay.states import (
     CERTIFICATES_SCHEMA,
@@ -28,13 +28,15 @@ from istc_replay.states import (
 )
 
 SUMMARY_SCHEMA = "istc-replay.summary.v1"
-_REMEDY = "make it again with istc-replay run"
+REMEDY = "make it again with istc-replay run"
 _SUMMARY_LIMIT = 2**28
+#: Rows of states made a table of at a time.
+_ROWS = 20_000
 #: What a summary tells of one run alone.
 _OF_ONE_RUN = frozenset({"seconds", "cpu_s", "wall_s", "stages", "solves"})
 
 
-def read_result(source: Path | bytes) -> Result:
+def read_result(source: Path | bytes, *, states: bool = True) -> Result:
     """Read a result.mcap.
 
     States are sorted by source (recorded, planned, rejected, guidance), window, vehicle and time. A recorded
@@ -46,6 +48,8 @@ def read_result(source: Path | bytes) -> Result:
     ----------
     source : Path or bytes
         The file, or what it holds.
+    states : bool
+        Whether to read the states, which take by far the most memory; else there are none.
 
     Raises
     ------
@@ -53,17 +57,24 @@ def read_result(source: Path | bytes) -> Result:
         If there is no such file, it is not a result, or anything in it is damaged.
     """
     log = open_log(source)
-    rows = ResultRows()
+    rows, tables = ResultRows(), [RESULT_STATES_SCHEMA.to_frame()]
     for message in log.messages(holds_rows):
+        if not states and holds_states(message.channel):
+            continue
         try:
             collect(rows, message)
+            if len(rows.states) >= _ROWS:
+                tables.append(_table(rows.states, RESULT_STATES_SCHEMA))
+                rows.states = []
         except ValueError as error:
             place = f"{quoted(message.channel.topic)}, byte {message.offset}"
-            raise LogError(f"{log.name}: damaged result: {place}: {error}; {_REMEDY}") from None
+            raise LogError(f"{log.name}: damaged result: {place}: {error}; {REMEDY}") from None
     _require_whole(log, rows)
+    tables.append(_table(rows.states, RESULT_STATES_SCHEMA))
+    windows = [dict(zip(("index", "start_ns", "end_ns"), row, strict=True)) for row in rows.windows]
     return Result(
         path=log.name,
-        states=_states(rows),
+        states=result_states(pl.concat(tables), windows),
         corridors=_table(rows.corridors, CORRIDORS_SCHEMA),
         obstacles=_table(rows.obstacles, OBSTACLES_SCHEMA),
         solves=_table(rows.solves, SOLVES_SCHEMA),
@@ -150,21 +161,21 @@ def _require_whole(log: LogFile, rows: ResultRows) -> None:
         problem = log.problems[0]
         place = "" if problem.offset is None else f" at byte {problem.offset}"
         more = f" (and {len(log.problems) - 1} more)" if len(log.problems) > 1 else ""
-        raise LogError(
-            f"{log.name}: damaged result: {problem.code}{place}: {problem.detail}{more}; {_REMEDY}"
-        )
+        raise LogError(f"{log.name}: damaged result: {problem.code}{place}: {problem.detail}{more}; {REMEDY}")
     if missing:
-        raise LogError(f"{log.name}: not a whole result: it lacks {', '.join(missing)}; {_REMEDY}")
+        raise LogError(f"{log.name}: not a whole result: it lacks {', '.join(missing)}; {REMEDY}")
 
 
 def _table(rows: list[Row], schema: pl.Schema) -> pl.DataFrame:
     return pl.DataFrame(rows, schema=schema, orient="row")
 
 
-def _states(rows: ResultRows) -> pl.DataFrame:
-    states = _table(rows.states, RESULT_STATES_SCHEMA)
-    windows = pl.DataFrame(
-        rows.windows, schema={"at": pl.Int32, "from_ns": pl.Int64, "to_ns": pl.Int64}, orient="row"
+def result_states(states: pl.DataFrame, windows: Sequence[Mapping[str, Any]]) -> pl.DataFrame:
+    """States in the order of a result, the recorded ones with the windows that they fall into."""
+    spans = pl.DataFrame(
+        [(window["index"], window["start_ns"], window["end_ns"]) for window in windows],
+        schema={"at": pl.Int32, "from_ns": pl.Int64, "to_ns": pl.Int64},
+        orient="row",
     )
     order = pl.col("source").replace_strict(
         {"recorded": 0, "planned": 1, "rejected": 2, "guidance": 3}, return_dtype=pl.Int8
@@ -172,7 +183,7 @@ def _states(rows: ResultRows) -> pl.DataFrame:
     within = pl.when(pl.col("time_ns") <= pl.col("to_ns")).then("at")
     return (
         states.sort("time_ns", maintain_order=True)
-        .join_asof(windows.sort("from_ns"), left_on="time_ns", right_on="from_ns")
+        .join_asof(spans.sort("from_ns"), left_on="time_ns", right_on="from_ns")
         .with_columns(
             _order=order,
             window=pl.when(pl.col("source") == "recorded").then(within).otherwise("window"),
@@ -193,18 +204,18 @@ def _text(log: LogFile, name: str) -> str:
     try:
         return log.attachment_data(attachment).decode()
     except UnicodeDecodeError as error:
-        raise LogError(f"{log.name}: damaged result: {name} is not UTF-8: {error}; {_REMEDY}") from None
+        raise LogError(f"{log.name}: damaged result: {name} is not UTF-8: {error}; {REMEDY}") from None
 
 
 def _summary(log: LogFile) -> dict[str, Any]:
     summary = _parsed(_text(log, "summary.json"))
     if summary is None:
-        raise LogError(f"{log.name}: damaged result: summary.json is not a JSON object; {_REMEDY}")
+        raise LogError(f"{log.name}: damaged result: summary.json is not a JSON object; {REMEDY}")
     schema = summary.get("schema", SUMMARY_SCHEMA)
     if schema != SUMMARY_SCHEMA:
         told = quoted(str(schema))
         raise LogError(
-            f"{log.name}: its summary has the schema {told}; this version reads {SUMMARY_SCHEMA}: {_REMEDY}"
+            f"{log.name}: its summary has the schema {told}; this version reads {SUMMARY_SCHEMA}: {REMEDY}"
         )
     return summary
 

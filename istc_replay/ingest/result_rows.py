@@ -194,9 +194,22 @@ _COLLECTORS: dict[str, tuple[str, Callable[[ResultRows, Any, str], None]]] = {
 }
 
 
+_STATES = frozenset(f"/istc/{source}/" for source in ("recorded", "planned", "rejected", "guidance"))
+
+
 def holds_rows(channel: Channel) -> bool:
     """Tell whether the channel's topic is one that the tables are made of."""
     return _family(channel.topic) in _COLLECTORS
+
+
+def holds_states(channel: Channel) -> bool:
+    """Tell whether the channel's topic is one that the table of states is made of."""
+    return _family(channel.topic) in _STATES
+
+
+def skip(rows: ResultRows, message: Message) -> None:
+    """Count a message that is not read."""
+    rows.counts[message.channel.topic] += 1
 
 
 def collect(rows: ResultRows, message: Message) -> None:

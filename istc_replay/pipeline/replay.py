@@ -327,18 +327,21 @@ def write_run(
         If an output cannot be written whole; nothing half-written stays.
     """
     from istc_replay.export.atomic import atomic_file
+    from istc_replay.pipeline.reading import read_for_show
 
     timing = stages or Stages()
+    with timing.stage("reading_back"):
+        found = read_for_show(done.source)
     if "view.rrd" in products:
         with timing.stage("view_rrd"):
             from istc_replay.export.rerun_view import write_view
 
-            write_view(done.result, config.view, folder / "view.rrd")
+            write_view(found.result, config.view, folder / "view.rrd", parts=found.parts)
     if "report.html" in products:
         with timing.stage("report_html"), atomic_file(folder / "report.html") as file:
             from istc_replay.export.report import report_html
 
-            file.write_text(report_html(done.result, title), encoding="utf-8")
+            file.write_text(report_html(found.result, title, found.states), encoding="utf-8")
     with atomic_file(folder / "summary.json") as file, file.open("w", encoding="utf-8") as text:
         json.dump(done.summary, text, indent=1, allow_nan=False)
         text.write("\n")

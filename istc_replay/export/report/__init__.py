@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import polars as pl
@@ -10,9 +11,7 @@ import polars as pl
 from istc_replay.config import Config, parse_config
 from istc_replay.datatypes import Result, WindowStatus
 from istc_replay.errors import ConfigError
-from istc_replay.export.colours import vehicle_colours
 from istc_replay.export.figures import window_scene
-from istc_replay.export.figures.style import line_colour
 from istc_replay.export.report.findings import recorded_behaviour
 from istc_replay.export.report.header import head, problem_list, settings, window_list
 from istc_replay.export.report.markup import Html, element
@@ -23,20 +22,24 @@ from istc_replay.export.report.window import window_section
 
 __all__ = ["report_html"]
 
+States = Callable[[Sequence[int]], pl.DataFrame]
+
 #: Windows with pictures, and the size at which pictures end whatever their number [characters].
 PICTURED_WINDOWS = 12
 _PICTURES_LIMIT = 12_000_000
 
 
-def report_html(result: Result, title: str) -> str:
+def report_html(result: Result, title: str, states: States | None = None) -> str:
     """Write the report of a result.
 
     Parameters
     ----------
     result : Result
-        A result as read back.
+        A result as read back; without its states where `states` gives them.
     title : str
         The document's title, such as the log's name; it may hold anything.
+    states : callable, optional
+        Gives the states of some windows.
 
     Returns
     -------
@@ -51,15 +54,13 @@ def report_html(result: Result, title: str) -> str:
     separation_m = _separation_m(result)
     verdicts = [verdict_of(entry, certificates.get(entry["index"], []), separation_m) for entry in windows]
     pictured = _pictured(windows, verdicts)
-    pictures = _draw(result, pictured)
-    swatch = _swatches(result)
+    pictures = _draw(result if states is None else replace(result, states=states(pictured)), pictured)
     sections = [
         window_section(
             entry,
             certificates.get(entry["index"], []),
             result.solves.filter(pl.col("window") == entry["index"]),
             verdict,
-            swatch,
             pictures.get(entry["index"]),
             folded=len(windows) > PICTURED_WINDOWS and entry["index"] not in pictures,
         )
@@ -115,18 +116,6 @@ def _draw(result: Result, windows: Sequence[int]) -> dict[int, Html]:
         pictures[index] = window_pictures(window_scene(result, index))
         size += len(pictures[index])
     return pictures
-
-
-def _swatches(result: Result) -> Callable[[str], Html]:
-    colours = vehicle_colours(result.states["vehicle_id"].drop_nulls().unique())
-
-    def swatch(vehicle_id: str) -> Html:
-        colour = colours.get(vehicle_id)
-        if colour is None:
-            return Html("")
-        return element("span", class_="swatch", style=f"background:{line_colour(colour)}")
-
-    return swatch
 
 
 def _left_out(windows: Sequence[dict[str, Any]], pictures: dict[int, Html]) -> Html | None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import polars as pl
 
+from istc_replay.export.colours import vehicle_colour
+from istc_replay.export.figures.style import line_colour
 from istc_replay.export.report.changed import changed_section
 from istc_replay.export.report.findings import against_plan_table
 from istc_replay.export.report.header import moment
@@ -40,7 +42,6 @@ def window_section(
     certificates: Sequence[Row],
     solves: pl.DataFrame,
     verdict: Verdict,
-    swatch: Callable[[str], Html],
     pictures: Html | None,
     *,
     folded: bool,
@@ -49,7 +50,7 @@ def window_section(
     start_ns = int(entry["start_ns"])
     parts = [
         changed_section(entry),
-        _vehicles(entry, swatch),
+        _vehicles(entry),
         _exclusions(entry),
         _layer_1(entry),
         _undrivable(entry),
@@ -75,7 +76,11 @@ def window_section(
     )
 
 
-def _vehicles(entry: Row, swatch: Callable[[str], Html]) -> Html:
+def _swatch(vehicle_id: str) -> Html:
+    return element("span", class_="swatch", style=f"background:{line_colour(vehicle_colour(vehicle_id))}")
+
+
+def _vehicles(entry: Row) -> Html:
     counts = facts(
         [
             ("Vehicles present", number(entry.get("vehicles_present"))),
@@ -86,7 +91,7 @@ def _vehicles(entry: Row, swatch: Callable[[str], Html]) -> Html:
     )
     rows = [
         (
-            join([swatch(str(vehicle.get("id"))), name(vehicle.get("id"))]),
+            join([_swatch(str(vehicle.get("id"))), name(vehicle.get("id"))]),
             number(vehicle.get("priority"), 3),
             name(vehicle.get("guidance") or NOTHING),
             _units(vehicle),

@@ -1,0 +1,52 @@
+"""Results as they are shown: whole, or where they are long a part after the other."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from istc_replay.ingest.result import read_result
+from istc_replay.ingest.result_states import result_parts, window_states
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
+
+    import polars as pl
+
+    from istc_replay.datatypes import Result
+
+#: Windows of a part; a result of no more is read whole.
+PART_WINDOWS = 16
+
+
+@dataclass(frozen=True, slots=True)
+class Reading:
+    """A result to be shown: `result` is without its states where there are `parts`."""
+
+    source: Path | bytes
+    result: Result
+    parts: Callable[[], Iterator[Result]] | None = None
+
+    @property
+    def states(self) -> Callable[[Sequence[int]], pl.DataFrame] | None:
+        """Gives the states of some windows, where the result is without them."""
+        return None if self.parts is None else self._states
+
+    def _states(self, windows: Sequence[int]) -> pl.DataFrame:
+        return window_states(self.source, self.result, windows)
+
+
+def read_for_show(source: Path | bytes) -> Reading:
+    """Read a result to show it; memory does not grow with its states where it is long.
+
+    Raises
+    ------
+    LogError
+        As `read_result` does.
+    """
+    head = read_result(source, states=False)
+    if len(head.summary["windows"]) <= PART_WINDOWS:
+        return Reading(source, read_result(source))
+    return Reading(source, head, lambda: result_parts(source, head, PART_WINDOWS))
