@@ -17,7 +17,8 @@ if TYPE_CHECKING:
     import rerun as rr
 
     from istc_replay.config import Config
-    from istc_replay.datatypes import Log, Result, WindowOutcome
+    from istc_replay.datatypes import Log, WindowOutcome
+    from istc_replay.pipeline.reading import Reading
 
 _SUFFIX = "-live"
 
@@ -49,7 +50,11 @@ class LiveView:
         cut = log.states.filter(pl.col("time_ns").is_between(start, start + length))
         part = assemble(replace(log, states=cut), config, [outcome]).result
         self._anchor = replace(
-            self._anchor, origin_ns=spans[0][0], until_ns=min(following, default=None), first_unit=index
+            self._anchor,
+            origin_ns=spans[0][0],
+            from_ns=start if start > spans[0][0] else None,
+            until_ns=min(following, default=None),
+            first_unit=index,
         )
         try:
             if self._recording is None:
@@ -58,14 +63,14 @@ class LiveView:
         except IstcReplayError as error:
             self._lose(error)
 
-    def finish(self, result: Result, config: Config) -> None:
+    def finish(self, reading: Reading, config: Config) -> None:
         """Show the whole result in place of its windows."""
         self._end()
         if self.lost:
             return
         try:
-            send_view(result, config.view, self._url, Opening(), None)
-            close_recording(self._url, recording_id(result) + _SUFFIX)
+            send_view(reading.result, config.view, self._url, Opening(), None, reading.parts)
+            close_recording(self._url, recording_id(reading.result) + _SUFFIX)
         except IstcReplayError as error:
             self._lose(error)
 

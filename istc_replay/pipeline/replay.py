@@ -287,6 +287,7 @@ def run_log(
         If an output cannot be written whole; nothing half-written stays.
     """
     from istc_replay.export.atomic import prepare_folder
+    from istc_replay.pipeline.reading import read_for_show
 
     stages = Stages()
     prepare_folder(folder)
@@ -307,7 +308,7 @@ def run_log(
     write_run(done, folder, config, path.name, stages)
     clear_work(folder)
     if live is not None:
-        live.finish(done.result, config)
+        live.finish(read_for_show(done.source), config)
     return done
 
 

@@ -77,7 +77,12 @@ def test_windows_of_a_growing_result_lie_in_one_time_and_place(
     def take(part: Any, view: Any, anchor: Anchor, _: Any) -> Anchor:
         stage, _ = rerun_viewer.lay_out(part, view, anchor=anchor)
         parts.append((stage, anchor))
-        return Anchor(anchor.origin_ns, stage.origin_m, anchor.until_ns, 0, stage.metres_per_second)
+        return Anchor(
+            origin_ns=anchor.origin_ns,
+            origin_m=stage.origin_m,
+            until_ns=anchor.until_ns,
+            metres_per_second=stage.metres_per_second,
+        )
 
     monkeypatch.setattr(pipeline_live, "send_live", take)
     monkeypatch.setattr(pipeline_live, "connected", lambda *_: object())
@@ -97,7 +102,8 @@ def test_windows_of_a_growing_result_lie_in_one_time_and_place(
     assert np.diff([span.start_ns for span in spans]).tolist() == [3 * S] * 3
     # Each is shown until the next begins.
     assert [span.shown_end_ns for span in spans[:-1]] == [span.start_ns for span in spans[1:]]
-    assert [stage.followed for stage, _ in parts] == [True, True, True, False]
+    assert [anchor.until_ns is not None for _, anchor in parts] == [True, True, True, False]
+    assert [stage.first_ns for stage, _ in parts] == [span.start_ns for span in spans]
     # Windows that begin in the middle of the recorded conflict have no plan.
     assert parts[0][0].result.states.filter(pl.col("source") == "planned").height
 
