@@ -19,14 +19,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 
-from istc_replay.coordinate import plan_window
+from istc_replay.coordinate import Planners, plan_part
 from istc_replay.datatypes import Log, WindowStatus
 from istc_replay.errors import ScenarioError
 from istc_replay.geometry import box_corners, shift_along
 from istc_replay.pipeline.replay import replay_read
 from istc_replay.samples.scenes import SAMPLES, find_sample, packaged_scene, record
-from istc_replay.scenario import build_scenarios
-from istc_replay.trajectories.plan import TrajectoryPlanner
+from istc_replay.windows import log_parts
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -35,6 +34,7 @@ if TYPE_CHECKING:
     from istc_replay.datatypes import Result, WindowPlan
     from istc_replay.samples.drive import RecordedScene
     from istc_replay.samples.sceneform import SceneFile
+    from istc_replay.windows import LogPart
 
 TABLES = {
     "iii": ("intersection_turn_first", "intersection_straight_first"),
@@ -104,19 +104,19 @@ def _row(name: str, make: Callable[[], RecordedScene], config: Config, runs: int
     began = time.perf_counter()
     log = recorded_log(make())
     guidance_s = time.perf_counter() - began
-    scenario = next(iter(build_scenarios(log, fast)))
-    planner = TrajectoryPlanner(fast.trajectories, scenario.window.unit_s)
-    plan_window(scenario, fast, planner)  # builds the NLPs, which all later runs share
+    part = next(iter(log_parts(log, fast)))
+    planners = Planners(fast)
+    plan_part(part, fast, planners)  # builds the NLPs, which all later runs share
     plans, cpu = [], []
     for _ in range(runs):
         spent = _cpu_s()
-        plans.append(plan_window(scenario, fast, planner))
+        plans.append(plan_part(part, fast, planners))
         cpu.append(_cpu_s() - spent)
     layer1, layer2 = (median(p.seconds[layer] for p in plans) for layer in ("corridors", "trajectories"))
     median_run = sorted(plans, key=lambda p: p.seconds["corridors"])[len(plans) // 2]
     replayed = replay_read(log, fast)
     window = replayed.summary["windows"][0]
-    proven = _proof(scenario, config, planner) if config.corridors.mode == "certified" else {}
+    proven = _proof(part, config, planners) if config.corridors.mode == "certified" else {}
     figures = window["corridors"] | {
         key: proven[key] for key in ("objective", "bound", "gap") if key in proven
     }
@@ -160,8 +160,8 @@ def _stages(plan: WindowPlan) -> dict[str, float]:
     return stages
 
 
-def _proof(scenario: Any, config: Config, planner: TrajectoryPlanner) -> dict[str, Any]:
-    plan = plan_window(scenario, config, planner)
+def _proof(part: LogPart, config: Config, planners: Planners) -> dict[str, Any]:
+    plan = plan_part(part, config, planners)
     if plan.corridors is None or plan.corridors.objective is None:
         return {}
     found = plan.corridors

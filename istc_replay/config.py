@@ -249,6 +249,8 @@ class CorridorsConfig(Section):
     """Vehicles in conflict that are planned at once; of larger groups one is planned against the others."""
     tree_node_budget: Count = 1000
     """QPs of the conflict tree that finds corridors."""
+    small_crowd_node_budget: Count = 300
+    """The same where four vehicles among standing obstacles are tried before seeds."""
     tree_proof_node_budget: Count = 4000
     """QPs of the conflict tree that bounds eq. (3), certified mode."""
     milp_node_budget: Count = 20_000

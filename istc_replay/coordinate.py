@@ -10,7 +10,7 @@ import numpy as np
 
 from istc_replay.bicycle import dense_motion
 from istc_replay.corridors.formulation import default_limits
-from istc_replay.corridors.solve import solve_corridors
+from istc_replay.corridors.solve import bounded, find_corridors, prove_corridors
 from istc_replay.datatypes import SolveStatus, WindowPlan, WindowStatus
 from istc_replay.errors import SolveError
 from istc_replay.field import Field, Repairs, least_cover, prepare
@@ -22,12 +22,13 @@ from istc_replay.scenario import build_scenario
 from istc_replay.tracks import road_users
 from istc_replay.trajectories.plan import TrajectoryPlanner
 from istc_replay.trajectories.repair import RecordingRepairer
-from istc_replay.windows import TRAFFIC_UNITS_S
+from istc_replay.windows import CROWDED_UNIT_S, TRAFFIC_UNITS_S
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
-    from istc_replay.config import Config
+    from istc_replay.config import Config, CorridorsConfig
+    from istc_replay.corridors.incumbent import Search
     from istc_replay.corridors.problem import Limits
     from istc_replay.datatypes import (
         Corridors,
@@ -111,14 +112,16 @@ def plan_part(
     repairs = Repairs(planners.repairer)
     first = build_scenario(part, config, users=users, handed=handed)
     # Finer time units leave more room to cars that are close: they are tried before any is frozen.
-    finer = TRAFFIC_UNITS_S if first.traffic and config.window.unit_s == "auto" else ()
-    units = [unit_s for unit_s in finer if unit_s < first.window.unit_s]
+    finer = TRAFFIC_UNITS_S if first.traffic else (CROWDED_UNIT_S,) if first.small_crowd else ()
+    units = [unit_s for unit_s in finer if config.window.unit_s == "auto" and unit_s < first.window.unit_s]
     tried: list[_Rounds] = []
     for unit_s in (None, *units):
         scenario = (
             first if unit_s is None else build_scenario(part, config, unit_s, users=users, handed=handed)
         )
         tried.append(_begin(scenario, config, planners.of(scenario), progress, repairs))
+        if unit_s is not None:
+            tried[-1].leave_the_tree()
         plan = tried[-1].run()
         if plan is not None:
             break
@@ -205,7 +208,8 @@ def _begin(
 class _Rounds:
     """The rounds of both layers for one window, until a plan stands or nobody is left.
 
-    Unless it `may_freeze` vehicles, it stops where it would have to, and can go on from there.
+    Unless it `may_freeze` vehicles, it stops where it would have to, or where a small crowd is left by the
+    conflict tree to seeds, and can go on from there.
     """
 
     ready: Field
@@ -222,8 +226,10 @@ class _Rounds:
     strayed: dict[str, int] = field(default_factory=dict)
     lateral: tuple[Lateral, ...] = ()
     records: list[SolveRecord] = field(default_factory=list)
-    attempt: int = 0
-    kept: tuple[tuple[int, float], WindowPlan] | None = None
+    seeds: int | None = 0  # None while a small crowd is tried by the conflict tree alone
+    kept: tuple[tuple[int, float], WindowPlan, Search | None] | None = None
+    search: Search | None = None  # of the last round
+    stuck: bool = False
     _known: dict[tuple[str, bytes], TrajectoryOutcome] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -231,6 +237,15 @@ class _Rounds:
         self.records = list(self.ready.records)
         participants = self.ready.scenario.participants
         self.limits = {p.vehicle_id: default_limits(self.config.corridors) for p in participants}
+        if self.ready.scenario.small_crowd and self.config.corridors.formulation != "paper":
+            self.seeds = None
+
+    def leave_the_tree(self) -> bool:
+        """Go on with seeds where a small crowd was tried without; whether it was."""
+        if self.seeds is not None:
+            return False
+        self.seeds, self.round = 0, 0
+        return True
 
     def run(self) -> WindowPlan | None:
         """Solve the layers in turn; every round takes freedom from a vehicle, so that they end."""
@@ -238,9 +253,10 @@ class _Rounds:
             reason = "no vehicle of the window can be planned: " + _exclusion_text(self.ready.scenario)
             return self._plan(WindowStatus.NOTHING_TO_PLAN, reason, None)
         while True:
-            if self.pending:
+            if self.pending or self.stuck:
                 if not self.may_freeze:
                     return None
+                self.stuck = False
                 self.ready.freeze(self.pending)
                 self.pending = {}
             if not self.ready.scenario.participants:
@@ -255,12 +271,22 @@ class _Rounds:
         """One round: the plan, or None where something has been changed to try again."""
         corridors = self._corridors()
         if not corridors.corridors:
-            if self._yield_to_conflicts(corridors) or self._reseed(corridors.status is SolveStatus.LIMIT):
+            self.stuck = self.leave_the_tree()
+            if (
+                self.stuck
+                or self._yield_to_conflicts(corridors)
+                or self._reseed(corridors.status is SolveStatus.LIMIT)
+            ):
                 return None
             return self._settled(WindowStatus.NO_CORRIDORS, corridors.reason + self._after(), corridors)
         outcomes = self._trajectories(corridors)
         undrivable = tuple(o.undrivable for o in outcomes if o.undrivable is not None)
         found = tuple(o.trajectory for o in outcomes if o.trajectory is not None)
+        late = [] if undrivable else self._late(found)
+        if undrivable or late:
+            self.stuck = self.leave_the_tree()
+            if self.stuck:
+                return None
         if undrivable:
             if self._give_way(undrivable):
                 return None
@@ -268,14 +294,13 @@ class _Rounds:
             return self._settled(WindowStatus.NOT_DRIVABLE, reason, corridors, undrivable=undrivable)
         if self._strays(found):
             return None
-        late = self._late(found)
         told = ["goal not reached: " + ", ".join(late)] if late else []
         reason = "; ".join([*told, *filter(None, [corridors.reason])])
         # Not certified until the certificate has said so.
         plan = self._plan(WindowStatus.NOT_CERTIFIED, reason, corridors, trajectories=found)
         rank = (len(late), corridors.objective or 0.0)
         if self.kept is None or rank < self.kept[0]:
-            self.kept = (rank, plan)
+            self.kept = (rank, plan, self.search)
         return None if self._reseed(bool(late)) else self._settled(plan.status, reason, corridors)
 
     def _settled(
@@ -287,8 +312,31 @@ class _Rounds:
     ) -> WindowPlan:
         """The best plan of all rounds, or this outcome where there is none."""
         if self.kept is None:
-            return self._plan(status, reason, corridors, undrivable=undrivable)
-        return replace(self.kept[1], rounds=self.round, records=tuple(self.records), seconds=self.seconds)
+            plan, search = self._plan(status, reason, corridors, undrivable=undrivable), self.search
+        else:
+            _, plan, search = self.kept
+        if search is not None:
+            plan = self._proven(plan, search)
+        return replace(plan, rounds=self.round, records=tuple(self.records), seconds=self.seconds)
+
+    def _proven(self, plan: WindowPlan, search: Search) -> WindowPlan:
+        """A plan with its bound; with better corridors that the proof found where they do as well."""
+        self.progress("proof")
+        began, known = time.perf_counter(), len(search.records)
+        better = prove_corridors(search, self.ready.scenario, self._settings())
+        self.seconds["corridors"] += time.perf_counter() - began
+        self.records += better.records[known:]
+        before = plan.corridors
+        if before is None or better.objective == before.objective:
+            return replace(plan, corridors=better)
+        if plan.trajectories:
+            outcomes = self._trajectories(better)
+            found = tuple(o.trajectory for o in outcomes if o.trajectory is not None)
+            if len(found) == len(outcomes) and self._late(found) == self._late(plan.trajectories):
+                laterals = self._laterals(found)
+                if all(kept.margin_m >= _LATERAL_RESERVE_M for kept in laterals):
+                    return replace(plan, corridors=better, trajectories=found, lateral=laterals)
+        return replace(plan, corridors=bounded(before, better.bound, self.config.corridors.gap_tolerance))
 
     def _reseed(self, wanted: bool) -> bool:
         """Whether a scene is tried again from other seeds."""
@@ -296,7 +344,7 @@ class _Rounds:
         most = min(_RESEEDS, self.config.trajectories.feedback_rounds)
         if not (wanted and scene and self.round <= most):
             return False
-        self.attempt += 1
+        self.seeds = (self.seeds or 0) + 1
         return True
 
     def _late(self, found: tuple[Trajectory, ...]) -> list[str]:
@@ -313,14 +361,18 @@ class _Rounds:
     def _corridors(self) -> Corridors:
         self.progress("corridors" if self.round == 1 else f"corridors, round {self.round}")
         began = time.perf_counter()
-        gaps = {"vehicle_gap_m": self.ready.vehicle_gap_m, "obstacle_gap_m": self.ready.obstacle_gap_m}
-        settings = self.config.corridors.model_copy(update=gaps)
-        corridors = solve_corridors(
-            self.ready.scenario, self.ready.guidance, settings, self.limits, self.fastest_mps, self.attempt
+        scenario, guidance = self.ready.scenario, self.ready.guidance
+        corridors, self.search = find_corridors(
+            scenario, guidance, self._settings(), self.limits, self.fastest_mps, self.seeds
         )
         self.seconds["corridors"] += time.perf_counter() - began
         self.records += corridors.records
         return corridors
+
+    def _settings(self) -> CorridorsConfig:
+        """Layer 1's settings with the gaps of this window."""
+        gaps = {"vehicle_gap_m": self.ready.vehicle_gap_m, "obstacle_gap_m": self.ready.obstacle_gap_m}
+        return self.config.corridors.model_copy(update=gaps)
 
     def _trajectories(self, corridors: Corridors) -> list[TrajectoryOutcome]:
         self.progress("trajectories")
@@ -376,10 +428,13 @@ class _Rounds:
             self.pending[name] = ("no_relation" if others else "no_corridor", detail)
         return bool(names)
 
+    def _laterals(self, found: tuple[Trajectory, ...]) -> tuple[Lateral, ...]:
+        pairs = zip(found, self.ready.scenario.participants, strict=True)
+        return tuple(_lateral(t, p.lateral) for t, p in pairs if p.lateral is not None)
+
     def _strays(self, found: tuple[Trajectory, ...]) -> bool:
         """In traffic, have whoever goes too far sideways planned with more room, then freeze it."""
-        pairs = zip(found, self.ready.scenario.participants, strict=True)
-        self.lateral = tuple(_lateral(t, p.lateral) for t, p in pairs if p.lateral is not None)
+        self.lateral = self._laterals(found)
         again = False
         for kept in self.lateral:
             name, short = kept.vehicle_id, _LATERAL_RESERVE_M - kept.margin_m

@@ -26,8 +26,8 @@ if TYPE_CHECKING:
 
 FloatArray = NDArray[np.float64]
 
-#: So many vehicles among standing obstacles make a crowded scene.
-CROWD = 4
+#: So many vehicles among standing obstacles make a crowded scene; so many at most are a small crowd.
+CROWD, SMALL_CROWD = 4, 4
 
 
 def read_only(values: ArrayLike, columns: int | None = None) -> FloatArray:
@@ -307,6 +307,11 @@ class Scenario:
         """A scene of four vehicles or more among standing obstacles: planned from seeds, in short units."""
         standing = any(obstacle.outline_m is not None for obstacle in self.obstacles)
         return standing and not self.traffic and len(self.participants) >= CROWD
+
+    @property
+    def small_crowd(self) -> bool:
+        """A crowded scene of so few that the conflict tree may hold it: tried before seeds."""
+        return self.crowded and len(self.participants) <= SMALL_CROWD
 
 
 # --- the two layers --------------------------------------------------------------------------

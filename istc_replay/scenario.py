@@ -33,7 +33,14 @@ from istc_replay.lateral import in_frame, lateral_bound
 from istc_replay.road_frame import Body, conflicts, least_boxes, road_yaw
 from istc_replay.tracks import RoadUser, UsableTrack, road_users, swept_boxes, usable_track
 from istc_replay.units import seconds_to_ns
-from istc_replay.windows import CALM_UNITS_S, CROWDED_UNIT_S, LogPart, first_unit_s, log_parts
+from istc_replay.windows import (
+    CALM_UNITS_S,
+    CROWDED_UNIT_S,
+    SMALL_CROWD_UNIT_S,
+    LogPart,
+    first_unit_s,
+    log_parts,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
@@ -87,7 +94,7 @@ def build_scenario(
         scenario = _Builder.of(part, users, config, unit_s, handed or {}).scenario()
         if not scenario.crowded or config.window.unit_s != "auto" or config.corridors.formulation == "paper":
             return scenario
-        unit_s = CROWDED_UNIT_S
+        unit_s = SMALL_CROWD_UNIT_S if scenario.small_crowd else CROWDED_UNIT_S
     return _Builder.of(part, users, config, unit_s, handed or {}).scenario()
 
 

@@ -18,9 +18,9 @@ if TYPE_CHECKING:
 
     from istc_replay.config import Config, WindowConfig
 
-#: Time units by rule: of a scene, and of a crowded one; of traffic from coarse to fine; and of traffic that
-#: has no conflict at them, the first that does.
-SCENE_UNIT_S, CROWDED_UNIT_S = 1.0, 0.5
+#: Time units by rule: of a scene, of a small crowd, and of a crowded one; of traffic from coarse to fine; and
+#: of traffic that has no conflict at them, the first that does.
+SCENE_UNIT_S, SMALL_CROWD_UNIT_S, CROWDED_UNIT_S = 1.0, 0.75, 0.5
 TRAFFIC_UNITS_S, CALM_UNITS_S = (0.5, 0.25, 0.125), (1.0, 0.5, 0.25)
 #: Limits and weights of layer 2 in traffic, where the configuration does not set them: recorded cars do brake
 #: as hard as a dry road allows, and layer 1 asks for no more than its own limits or what was recorded.

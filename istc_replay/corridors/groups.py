@@ -46,7 +46,9 @@ class TreeOutcome:
     in_turn: tuple[str, ...] = ()
 
 
-def search(problem: CorridorProblem, node_budget: int, together: int = TOGETHER) -> TreeOutcome:
+def search(
+    problem: CorridorProblem, node_budget: int, together: int = TOGETHER, *, in_turn: bool = True
+) -> TreeOutcome:
     """Find pivotal points of small eq. (3) without conflict.
 
     Parameters
@@ -57,6 +59,8 @@ def search(problem: CorridorProblem, node_budget: int, together: int = TOGETHER)
         Largest number of QPs; those of vehicles that join in turn come on top.
     together : int
         Most vehicles of one tree.
+    in_turn : bool
+        Whether vehicles that are too much for one tree are planned one after the other.
     """
     qp = PivotQp(problem)
     solved: dict[Group, Tree] = {}
@@ -91,6 +95,8 @@ def search(problem: CorridorProblem, node_budget: int, together: int = TOGETHER)
     bound = sum(tree.bound for tree in trees)
     z, large = problem.least_cubes(z), frozenset[int]().union(*apart.intersection(groups))
     exhausted = all(tree.exhausted for tree in trees) and not large
+    if large and not in_turn:
+        return TreeOutcome(None, nodes, False, bound, None, (_names(problem, large),))
     if large:
         joined, more, culprits_left = _one_against_the_other(problem, qp, z, large, node_budget, together)
         nodes += more

@@ -63,7 +63,7 @@ class Search:
         """(objective - bound) / max(1, |objective|)."""
         if self.z is None or not np.isfinite(self.bound):
             return None
-        return max(0.0, self.objective - self.bound) / max(1.0, abs(self.objective))
+        return gap_between(self.objective, self.bound)
 
     def record(self, stage: str, solver: str, status: SolveStatus, began: float, **figures: object) -> None:
         """Note one solver call of layer 1: what it found, and the bound and gap as they stand."""
@@ -76,11 +76,17 @@ class Search:
         )
 
 
-def grow_tree(search: Search, config: CorridorsConfig) -> TreeOutcome:
-    """Stage A: pivotal points without conflict."""
+def gap_between(objective: float, bound: float) -> float:
+    """(objective - bound) / max(1, |objective|)."""
+    return max(0.0, objective - bound) / max(1.0, abs(objective))
+
+
+def grow_tree(search: Search, config: CorridorsConfig, *, first_try: bool = False) -> TreeOutcome:
+    """Stage A: pivotal points without conflict; in a `first_try` within a smaller budget, or not at all."""
     began = time.perf_counter()
     problem = search.problem
-    tree = groups.search(problem, config.tree_node_budget, config.group_vehicles_max)
+    budget = config.small_crowd_node_budget if first_try else config.tree_node_budget
+    tree = groups.search(problem, budget, config.group_vehicles_max, in_turn=not first_try)
     search.exhausted, search.reference_bound = tree.exhausted, tree.bound
     search.offer(tree.z, "conflict tree")
     status = SolveStatus.FEASIBLE

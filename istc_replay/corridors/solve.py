@@ -9,7 +9,7 @@ import numpy as np
 
 from istc_replay.corridors import proof
 from istc_replay.corridors.formulation import build_problem
-from istc_replay.corridors.incumbent import Search, cramped, fill, follow, gives_way, grow_tree
+from istc_replay.corridors.incumbent import Search, cramped, fill, follow, gap_between, gives_way, grow_tree
 from istc_replay.corridors.paper import PAPER_BIG_M, build_paper_problem
 from istc_replay.corridors.seeded import search_seeds
 from istc_replay.datatypes import Corridors, SolveStatus
@@ -28,44 +28,89 @@ def solve_corridors(
     config: CorridorsConfig,
     limits: Mapping[str, Limits],
     speed_max_mps: float,
-    attempt: int = 0,
+    seeds: int | None = 0,
 ) -> Corridors:
-    """Construct the interactive spatio-temporal corridors of a window, eq. (4).
+    """Construct the interactive spatio-temporal corridors of a window, eq. (4), and bound them as asked."""
+    found, search = find_corridors(scenario, guidance, config, limits, speed_max_mps, seeds)
+    return found if search is None else prove_corridors(search, scenario, config)
 
-    Every outcome is returned, none is raised, save a missing solver (SolveError). Later attempts at a
-    scene start from other seeds.
+
+def find_corridors(
+    scenario: Scenario,
+    guidance: Sequence[Guidance],
+    config: CorridorsConfig,
+    limits: Mapping[str, Limits],
+    speed_max_mps: float,
+    seeds: int | None = 0,
+) -> tuple[Corridors, Search | None]:
+    """Find corridors, eq. (4). Every outcome is returned, none is raised, save a missing solver (SolveError).
+
+    Parameters
+    ----------
+    scenario, guidance, config
+        The window and the settings.
+    limits : mapping
+        Limits of the pivotal points by vehicle id.
+    speed_max_mps : float
+        Largest speed of a plan.
+    seeds : int, optional
+        Which attempt a scene is in: a crowded one begins from seeds, any other from the second attempt
+        on, each from others. None tries the conflict tree alone, within `small_crowd_node_budget`.
+
+    Returns
+    -------
+    tuple
+        The corridors, and what `prove_corridors` goes on from where there is a proof to be made.
     """
     paper = config.formulation == "paper"
     build = build_paper_problem if paper else build_problem
     problem = build(scenario, guidance, config, limits, speed_max_mps)
     refused = _refused(problem)
     if refused is not None:
-        return refused
+        return refused, None
     search = Search(problem)
 
     def rewritten(frames: Sequence[Guidance]) -> CorridorProblem:
         return build_problem(scenario, frames, config, limits, speed_max_mps)
 
-    seeded = not paper and not scenario.traffic and (scenario.crowded or attempt > 0)
-    if seeded:
-        reason = search_seeds(search, scenario, guidance, rewritten, config, attempt)
+    if seeds is not None and not paper and not scenario.traffic and (scenario.crowded or seeds > 0):
+        reason = search_seeds(search, scenario, guidance, rewritten, config, seeds)
         if search.z is None and scenario.crowded:
-            records = tuple(search.records)
-            return Corridors(SolveStatus.LIMIT, reason=reason, culprits=search.culprits, records=records)
+            return _unfound(search, SolveStatus.LIMIT, reason), None
     if not paper and search.z is None:
-        tree = grow_tree(search, config)
-        if tree.z is None and tree.exhausted:
+        tree = grow_tree(search, config, first_try=seeds is None)
+        if tree.z is None and (tree.exhausted or seeds is None):
             where = "" if tree.open_conflict is None else _conflict_text(problem, tree.open_conflict)
             reason = where or "the limits of eq. (9) to (12) contradict each other or the map's bounds"
-            records = tuple(search.records)
-            return Corridors(SolveStatus.INFEASIBLE, reason=reason, culprits=search.culprits, records=records)
+            return _unfound(search, SolveStatus.INFEASIBLE, reason), None
         if tree.z is not None:
             large_traffic = scenario.traffic and problem.binaries > config.proof_binaries_max
             fill(search, tree.z, config, sized=not large_traffic)
         if not scenario.traffic and (not tree.exhausted or gives_way(search)):
             follow(search, guidance, rewritten, config)
+    if search.z is not None and config.mode == "certified":
+        return _outcome(search, config), search
+    _prove(search, scenario, config)
+    return _outcome(search, config), None
+
+
+def prove_corridors(search: Search, scenario: Scenario, config: CorridorsConfig) -> Corridors:
+    """Bound corridors that were found, as certified mode asks; better ones may turn up on the way."""
     _prove(search, scenario, config)
     return _outcome(search, config)
+
+
+def bounded(corridors: Corridors, bound: float | None, gap_tolerance: float) -> Corridors:
+    """Corridors with a bound that was found for the same problem."""
+    if bound is None or corridors.objective is None:
+        return corridors
+    gap = gap_between(corridors.objective, bound)
+    status = SolveStatus.OPTIMAL if gap <= gap_tolerance else corridors.status
+    return replace(corridors, bound=bound, gap=gap, status=status)
+
+
+def _unfound(search: Search, status: SolveStatus, reason: str) -> Corridors:
+    return Corridors(status, reason=reason, culprits=search.culprits, records=tuple(search.records))
 
 
 def _prove(search: Search, scenario: Scenario, config: CorridorsConfig) -> None:

@@ -9,24 +9,25 @@ import pytest
 
 from istc_replay.bench import recorded_log
 from istc_replay.config import Config
+from istc_replay.coordinate import Planners, plan_part
 from istc_replay.corridors.formulation import default_limits
 from istc_replay.corridors.solve import solve_corridors
-from istc_replay.datatypes import Corridors, Guidance, Scenario, SolveStatus
+from istc_replay.datatypes import Corridors, Guidance, Scenario, SolveStatus, WindowPlan
 from istc_replay.guidance.build import build_guidance
 from istc_replay.samples.scenes import find_sample
 from istc_replay.scenario import build_scenario
-from istc_replay.windows import log_parts
+from istc_replay.windows import CROWDED_UNIT_S, log_parts
 
 Case = tuple[Scenario, tuple[Guidance, ...], Config]
 
 
 @pytest.fixture(scope="module")
 def among_obstacles() -> Case:
-    """Four vehicles among two blocks, fast mode."""
+    """Four vehicles among two blocks, fast mode, in the units of seeds."""
     config = Config()
     config = config.model_copy(update={"corridors": config.corridors.model_copy(update={"mode": "fast"})})
     log = recorded_log(find_sample("dense_4_obstacles").record())
-    scenario = build_scenario(next(iter(log_parts(log, config))), config)
+    scenario = build_scenario(next(iter(log_parts(log, config))), config, CROWDED_UNIT_S)
     return scenario, build_guidance(scenario, config.guidance), config
 
 
@@ -37,9 +38,29 @@ def solved(case: Case, **changes: object) -> Corridors:
     return solve_corridors(scenario, guidance, settings, limits, 10.0)
 
 
-def test_a_scene_of_four_among_obstacles_is_crowded_and_has_short_units(among_obstacles: Case) -> None:
-    assert among_obstacles[0].crowded
-    assert among_obstacles[0].window.unit_s == 0.5
+def planned_stages(**corridors: object) -> tuple[WindowPlan, list[str]]:
+    """The plan of four vehicles among two blocks, and the stages of layer 1 that led to it."""
+    config = Config.model_validate({"corridors": {"mode": "fast"} | corridors})
+    log = recorded_log(find_sample("dense_4_obstacles").record())
+    plan = plan_part(next(iter(log_parts(log, config))), config, Planners(config))
+    return plan, [record.stage for record in plan.records if record.layer == "corridors"]
+
+
+def test_a_small_crowd_is_planned_by_the_conflict_tree_where_that_closes() -> None:
+    plan, stages = planned_stages()
+    assert plan.scenario.small_crowd
+    assert plan.scenario.window.unit_s == 0.75
+    assert len(plan.trajectories) == 4
+    assert not plan.reason
+    assert stages == ["conflict tree", "cube sizes", "joint polish", "relaxation"]
+
+
+def test_a_small_crowd_that_the_tree_does_not_hold_is_planned_from_seeds_in_shorter_units() -> None:
+    plan, stages = planned_stages(small_crowd_node_budget=20)
+    assert plan.scenario.window.unit_s == 0.5
+    assert len(plan.trajectories) == 4
+    assert "seed paths" in stages
+    assert "conflict tree" not in stages
 
 
 def test_everybody_is_at_the_goal_and_no_two_cubes_meet(among_obstacles: Case) -> None:
