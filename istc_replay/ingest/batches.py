@@ -85,8 +85,8 @@ def heads(data: Bytes, positions: Ints) -> NDArray[np.void]:
 
 
 def distinct(values: NDArray[Any]) -> tuple[NDArray[Any], Ints]:
-    """Return the different integers, in order, and for each value its place among them."""
-    if len(values):
+    """Return the different numbers, in order, and for each value its place among them."""
+    if len(values) and values.dtype.kind in "iu":
         low, high = int(values.min()), int(values.max())
         if high - low < 4 * len(values) + 1024:
             # A table is faster than sorting.

@@ -271,11 +271,11 @@ class Decoding:
 
 
 #: Between the bytes of two batches, and after the last.
-_APART = bytes(16)
+_APART = bytes(32)
 
 
 def _joined(batches: list[Batch]) -> tuple[Bytes, Ints, Ints]:
-    """Join the bytes that hold the batches' payloads, 16 zeros after each; returns their spans."""
+    """Join the bytes that hold the batches' payloads, 32 zeros after each; returns their spans."""
     parts: list[bytes] = []
     starts, ends = [], []
     length = 0

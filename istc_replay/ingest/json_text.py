@@ -1,28 +1,29 @@
-"""Decoding JSON payloads: whole batches by Polars where they are regular, else one by one."""
+"""Decoding JSON payloads: by forms where many are written alike, by Polars where they tell alike, or each."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import numpy as np
-import polars as pl
 
-from istc_replay.ingest.batches import Bytes, Ints
-from istc_replay.ingest.layout import Column, Decoded
+from istc_replay.ingest.batches import Bytes, Ints, distinct
+from istc_replay.ingest.json_form import Commas, Form
+from istc_replay.ingest.json_lines import read_lines
+from istc_replay.ingest.layout import Column, Decoded, joined
+from istc_replay.ingest.meaning import number_name
 from istc_replay.ingest.payload import ITEMS_AT_ONCE, PayloadError, TooManyItemsError
 from istc_replay.ingest.wanted import Mapping, Node, tree
 
-#: Brackets in one payload that the fast reader is given: how deeply it may nest is not known.
+#: Brackets in one payload that Polars is given: how deeply it may nest is not known.
 _BRACKETS = 2000
 _ITEMS = 20_000
-#: Bytes between two payloads that are blanked at most, in words of eight spaces.
-_GAP, _WORD, _SPACES = 64, 8, 0x2020202020202020
-_LINE_BREAK = 10
 _INT64 = 2**63
-#: What is told in whole numbers.
-_WHOLE = {"time", "time_ns", "vehicle_id"}
+#: What is told in whole numbers, and what may be told as text.
+_WHOLE, _TEXTS = {"time", "time_ns", "vehicle_id"}, {"vehicle_id", "vehicle_frame", "frame"}
+#: A form that no more than one message in so many has is not kept; so many such, and what is left is parsed.
+_FEW, _TRIES = 16, 4
 
 
 class JsonDecoder:
@@ -31,39 +32,65 @@ class JsonDecoder:
     def __init__(self, mapping: Mapping) -> None:
         self._root = tree(mapping)
         self._items = [name for name in mapping.items.split(".") if name]
+        self._forms: list[Form] = []
 
     def decode(self, data: Bytes, starts: Ints, ends: Ints) -> Decoded:
         """Decode the payloads that these spans of data hold."""
+        parts, left = self._by_forms(data, starts, ends)
+        bad: list[tuple[int, PayloadError]] = []
+        if len(left):
+            rest = self._parsed(_cut(data, starts[left], ends[left]))
+            parts.append((left[rest.rows], rest.columns))
+            bad = [(int(left[row]), error) for row, error in rest.bad]
+        return _together(parts, bad)
+
+    def _by_forms(
+        self, data: Bytes, starts: Ints, ends: Ints
+    ) -> tuple[list[tuple[Ints, dict[str, Column]]], Ints]:
+        """Decode what is of a form that is known or of several messages; returns the rows that are left."""
+        parts: list[tuple[Ints, dict[str, Column]]] = []
+        commas = Commas(data, starts, ends)
+        left = np.arange(len(starts))
+
+        def read(form: Form) -> int:
+            nonlocal left
+            rows, columns = form.read(data, starts, ends, commas, left)
+            if len(rows):
+                parts.append((np.repeat(rows, len(form.items)), columns))
+                left = np.setdiff1d(left, rows, assume_unique=True)
+            return len(rows)
+
+        few = len(left) // _FEW
+        kept = [form for form in self._forms if read(form) > few]
+        odd: list[int] = []
+        tries = _TRIES
+        while len(left) and tries:
+            first = left[0]
+            form_ = Form.of(data[starts[first] : ends[first]].tobytes(), self._numbered, _is_whole)
+            taken = read(form_) if form_ else 0
+            if form_ and taken > few:
+                kept.append(form_)
+            else:
+                tries -= 1
+            if len(left) and left[0] == first:
+                odd, left = [*odd, int(first)], left[1:]
+        self._forms = kept
+        return parts, np.concatenate([np.array(odd, np.int64), left])
+
+    def _numbered(self, payload: bytes) -> Iterable[dict[str, Any]]:
+        return self._values(_load(payload))
+
+    def _parsed(self, payloads: list[bytes]) -> Decoded:
         # What is shorter than this cannot nest more deeply.
-        deep = int((ends - starts).max(initial=0)) > _BRACKETS and any(
-            map(_is_deep, _cut(data, starts, ends))
-        )
-        columns = None if self._items or deep else self._fast(data, starts, ends)
-        if columns is not None:
-            return Decoded(np.arange(len(starts)), columns, [])
-        return self._exact(_cut(data, starts, ends))
-
-    # --- by Polars -----------------------------------------------------------------------------
-
-    def _fast(self, data: Bytes, starts: Ints, ends: Ints) -> dict[str, Column] | None:
-        """Read all payloads as one table; None where any of them is not as the first one is."""
-        try:
-            first = _load(data[starts[0] : ends[0]].tobytes())
-            schema = pl.Schema(_schema(self._root, first))
-        except PayloadError:
-            return None
-        if not schema:
-            return None
-        lines = _lines(data, starts, ends)
-        try:
-            table = pl.read_ndjson(lines, schema=schema)
-        except (pl.exceptions.PolarsError, ValueError, OverflowError):
-            return None
-        if table.height != len(starts):
-            return None
-        return {target: _column_of(column) for target, column in _columns(self._root, first, table)}
-
-    # --- one by one ----------------------------------------------------------------------------
+        deep = max(map(len, payloads)) > _BRACKETS and any(map(_is_deep, payloads))
+        if not self._items and not deep:
+            try:
+                columns = read_lines(payloads, _load(payloads[0]), self._root, _is_whole)
+            except PayloadError:
+                columns = None
+            if columns is not None:
+                return Decoded(np.arange(len(payloads)), columns, [])
+        return self._exact(payloads)
 
     def _exact(self, payloads: list[bytes]) -> Decoded:
         rows: list[int] = []
@@ -80,7 +107,7 @@ class JsonDecoder:
             if len(found) > ITEMS_AT_ONCE and len(payloads) > 1:
                 raise TooManyItemsError(max(row, 1))
         names = sorted({name for item in found for name in item})
-        columns = {name: _column([item.get(name) for item in found]) for name in names}
+        columns = {name: _column(name, [item.get(name) for item in found]) for name in names}
         return Decoded(np.array(rows, np.int64), columns, bad)
 
     def _values(self, value: dict[str, Any]) -> Iterator[dict[str, Any]]:
@@ -108,23 +135,6 @@ class JsonDecoder:
 def _cut(data: Bytes, starts: Ints, ends: Ints) -> list[bytes]:
     raw = data.base if isinstance(data.base, bytes) else data.tobytes()
     return list(map(raw.__getitem__, map(slice, starts.tolist(), ends.tolist())))
-
-
-def _lines(data: Bytes, starts: Ints, ends: Ints) -> bytes:
-    """Put each payload on a line of its own; what stands between two is blanked, where it is short."""
-    gaps = starts[1:] - ends[:-1]
-    if gaps.min(initial=_WORD) >= _WORD and gaps.max(initial=0) <= _GAP:
-        text = data[starts[0] : ends[-1]].copy()
-        ended = ends[:-1] - starts[0]
-        # Eight bytes at a time, wherever they stand; the last eight may overlap those before.
-        words = np.ndarray(max(len(text) - _WORD + 1, 0), np.uint64, text, strides=(1,))
-        for step in range(0, int(gaps.max(initial=0)), _WORD):
-            words[ended + np.minimum(step, gaps - _WORD)] = _SPACES
-        text[ended] = _LINE_BREAK
-        if np.count_nonzero(text == _LINE_BREAK) < len(starts):
-            return text.tobytes()
-    # A line break may stand between the tokens of JSON, never within one.
-    return b"\n".join(payload.replace(b"\n", b" ") for payload in _cut(data, starts, ends))
 
 
 def _is_deep(payload: bytes) -> bool:
@@ -173,13 +183,16 @@ def _sound(value: Any, where: str) -> Any:
     return value
 
 
-def _column(values: list[Any]) -> Column:
-    """Make a column of plain values; texts if any of them is one."""
-    valid = np.array([value is not None for value in values], np.bool_)
+def _column(name: str, values: list[Any]) -> Column:
+    """Make a column of plain values; of texts if any is one and may be, else a text is unknown."""
     if any(isinstance(value, str) for value in values):
-        codes: dict[Any, int] = {}
-        own = [codes.setdefault("" if value is None else str(value), len(codes)) for value in values]
-        return Column(np.array(own, np.int64), valid, list(codes))
+        if _target(name) in _TEXTS:
+            valid = np.array([value is not None for value in values], np.bool_)
+            codes: dict[Any, int] = {}
+            own = [codes.setdefault(_name(value), len(codes)) for value in values]
+            return Column(np.array(own, np.int64), valid, list(codes))
+        values = [None if isinstance(value, str) else value for value in values]
+    valid = np.array([value is not None for value in values], np.bool_)
     if all(value is None or (isinstance(value, int) and abs(value) < _INT64) for value in values):
         return Column(np.array([value or 0 for value in values], np.int64), valid)
     floats = [np.nan if value is None else _float(value) for value in values]
@@ -193,59 +206,37 @@ def _float(value: float) -> float:
         return float("inf")
 
 
-def _schema(node: Node, value: Any) -> dict[str, pl.DataType]:
-    """Make the table's schema of the wanted values as the first payload has them."""
-    schema: dict[str, pl.DataType] = {}
-    for name, child in node.children.items():
-        inner = value.get(name)
-        if isinstance(inner, dict):
-            fields = _schema(child, inner)
-            if child.targets:
-                fields |= {
-                    key: dtype for key, plain in inner.items() if (dtype := _dtype(child, plain)) is not None
-                }
-            if not fields:
-                raise PayloadError("nothing in it is wanted")
-            schema[name] = pl.Struct(fields)
-        elif child.children or (dtype := _dtype(child, inner)) is None:
-            raise PayloadError("the first payload does not show what is wanted")
-        else:
-            schema[name] = dtype
-    return schema
+def _target(name: str) -> str:
+    return name.partition(".")[0]
 
 
-def _dtype(node: Node, value: Any) -> pl.DataType | None:
-    if isinstance(value, bool) or not isinstance(value, (int, float, str)):
-        return None
-    if isinstance(value, str):
-        return pl.String()
-    # Times and ids are whole numbers; others may be written without a point now and then.
-    whole = isinstance(value, int) and not _WHOLE.isdisjoint(node.targets)
-    return pl.Int64() if whole else pl.Float64()
+def _is_whole(name: str) -> bool:
+    return _target(name) in _WHOLE
 
 
-def _columns(node: Node, value: Any, table: pl.DataFrame) -> Iterator[tuple[str, pl.Series]]:
-    """Give the columns of the targets, by the first payload as the table's schema was made."""
-    for name, child in node.children.items():
-        inner = value[name]
-        if not isinstance(inner, dict):
-            yield from ((target, table[name]) for target in child.targets)
-            continue
-        parts = table[name].struct.unnest()
-        for target in child.targets:
-            for key, plain in inner.items():
-                if _dtype(child, plain) is not None:
-                    yield f"{target}.{key}", parts[key]
-        yield from _columns(child, inner, parts)
+def _together(parts: list[tuple[Ints, dict[str, Column]]], bad: list[tuple[int, PayloadError]]) -> Decoded:
+    """Join what was decoded apart, in the order of the payloads; a payload's items stay in theirs."""
+    rows = np.concatenate([np.zeros(0, np.int64), *(own for own, _ in parts)])
+    turn = np.argsort(rows, kind="stable")
+    columns: dict[str, Column] = {}
+    for name in sorted({name for _, own in parts for name in own}):
+        told = [own.get(name) or _unknown(len(of)) for of, own in parts]
+        if _target(name) not in _TEXTS:
+            told = [column if column.texts is None else _unknown(len(column.values)) for column in told]
+        elif any(column.texts is not None for column in told):
+            told = [column if column.texts is not None else _as_texts(column) for column in told]
+        columns[name] = joined(told, turn) if len(told) > 1 else told[0]
+    return Decoded(rows[turn], columns, bad)
 
 
-def _column_of(column: pl.Series) -> Column:
-    valid = column.is_not_null().to_numpy() if column.null_count() else None
-    if column.dtype == pl.String:
-        told = column.fill_null("")
-        texts = told.unique()
-        codes = told.cast(pl.Enum(texts)).to_physical().to_numpy()
-        return Column(codes.astype(np.int64), valid, texts.to_list())
-    if valid is not None:
-        column = column.fill_null(0 if column.dtype == pl.Int64 else 0.0)
-    return Column(column.to_numpy(), valid)
+def _name(value: Any) -> str:
+    return value if isinstance(value, str) else "" if value is None else number_name(value)
+
+
+def _unknown(count: int) -> Column:
+    return Column(np.zeros(count, np.int64), np.zeros(count, np.bool_))
+
+
+def _as_texts(column: Column) -> Column:
+    values, own = distinct(column.values)
+    return Column(own, column.valid, [number_name(value) for value in values.tolist()])

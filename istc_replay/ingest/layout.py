@@ -258,16 +258,24 @@ def _codes(raw: Bytes, kind: str, codes: dict[Any, int]) -> Ints | int:
     count, size = raw.shape
     padded = np.zeros((count, -(-size // _WORD) * _WORD), np.uint8)
     padded[:, :size] = raw
-    words = padded.view(np.uint64)
-    mixed = np.zeros(count, np.uint64)
+    first, own = coded(padded.view(np.uint64))
+    known = [codes.setdefault(_text(raw[row].tobytes(), kind), len(codes)) for row in first.tolist()]
+    return np.array(known, np.int64)[own]
+
+
+def coded(words: NDArray[np.uint64]) -> tuple[Ints, Ints]:
+    """Return the places of the different rows of words (n, k), and for each row which of them it is."""
+    mixed = np.zeros(len(words), np.uint64)
     for word in range(words.shape[1]):
         mixed = (mixed ^ words[:, word]) * _FACTOR
         mixed ^= mixed >> np.uint64(29)
-    _, first, own = np.unique(mixed, return_index=True, return_inverse=True)
-    if (words == words[first[own]]).all():
-        known = [codes.setdefault(_text(raw[row].tobytes(), kind), len(codes)) for row in first.tolist()]
-        return np.array(known, np.int64)[own]
-    return np.array([codes.setdefault(_text(row.tobytes(), kind), len(codes)) for row in raw], np.int64)
+    found = np.unique(mixed)
+    own = np.searchsorted(found, mixed)
+    first = np.empty(len(found), np.int64)
+    first[own[::-1]] = np.arange(len(words))[::-1]
+    if not (words == words[first[own]]).all():  # two of one hash
+        _, first, own = np.unique(words, axis=0, return_index=True, return_inverse=True)
+    return first, own.reshape(-1)
 
 
 def _text(raw: bytes, kind: str) -> Any:

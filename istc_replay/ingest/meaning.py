@@ -84,7 +84,7 @@ class Names:
             return np.full(count, -1, np.int64)
         if column.texts is None:
             values, own = distinct(column.values)
-            texts: list[Any] = [_number_name(value) for value in values.tolist()]
+            texts: list[Any] = [number_name(value) for value in values.tolist()]
         else:
             texts, own = column.texts, column.values
         table = [-1 if text is None else self.code(_name(text)) for text in texts]
@@ -92,7 +92,8 @@ class Names:
         return codes if column.valid is None else np.where(column.valid, codes, -1)
 
 
-def _number_name(value: float) -> str:
+def number_name(value: float) -> str:
+    """Name what a number names; a whole one without a point."""
     return str(int(value)) if float(value).is_integer() else str(value)
 
 

@@ -35,7 +35,7 @@ class PayloadDecoder(Protocol):
     """Decodes many payloads at once."""
 
     def decode(self, data: Bytes, starts: Ints, ends: Ints) -> Decoded:
-        """Decode the payloads in these spans of data, which goes on for 16 bytes after the last."""
+        """Decode the payloads in these spans of data, which goes on for 32 bytes after the last."""
 
 
 @dataclass(slots=True)

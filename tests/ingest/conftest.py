@@ -8,9 +8,11 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from mcap.writer import CompressionType, Writer
 
+from istc_replay.ingest.layout import Decoded
 from istc_replay.messages import descriptor_set, message
 
 T0_NS = 1_700_000_000_000_000_000
@@ -109,4 +111,25 @@ def one_vehicle(topic: type[Topic], vehicle_state: Callable[..., bytes]) -> Topi
             )
             for k, time in enumerate(times)
         ],
+    )
+
+
+def decode(decoder: Any, payloads: list[bytes]) -> Decoded:
+    """Decode payloads that stand one behind the other."""
+    data = np.frombuffer(b"".join(payloads) + bytes(32), np.uint8)
+    ends = np.cumsum([len(payload) for payload in payloads]).astype(np.int64)
+    starts = ends - [len(payload) for payload in payloads]
+    return decoder.decode(data, starts, ends)
+
+
+def plain(decoded: Decoded, name: str) -> list[Any]:
+    """Values of a column, None where they are not told."""
+    column = decoded.columns[name]
+    values = column.values.tolist()
+    if column.texts is not None:
+        values = [column.texts[value] for value in values]
+    return (
+        values
+        if column.valid is None
+        else [v if ok else None for v, ok in zip(values, column.valid, strict=True)]
     )

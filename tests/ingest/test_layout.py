@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import struct
 from typing import Any
 
@@ -16,8 +15,6 @@ from mcap_ros2._dynamic import serialize_dynamic
 from istc_replay.ingest.batches import distinct, rows
 from istc_replay.ingest.chunk import chunk_records
 from istc_replay.ingest.definition import parse_definition
-from istc_replay.ingest.json_text import JsonDecoder
-from istc_replay.ingest.layout import Decoded
 from istc_replay.ingest.payload import Budget, TooManyItemsError
 from istc_replay.ingest.protobuf import ProtobufDecoder
 from istc_replay.ingest.records import MalformedRecordError
@@ -25,26 +22,7 @@ from istc_replay.ingest.ros import ros_decoder
 from istc_replay.ingest.scan import Spans, scan
 from istc_replay.ingest.wanted import Mapping
 
-
-def decode(decoder: Any, payloads: list[bytes]) -> Decoded:
-    data = np.frombuffer(b"".join(payloads) + bytes(16), np.uint8)
-    ends = np.cumsum([len(payload) for payload in payloads]).astype(np.int64)
-    starts = ends - [len(payload) for payload in payloads]
-    return decoder.decode(data, starts, ends)
-
-
-def plain(decoded: Decoded, name: str) -> list[Any]:
-    """Values of a column, None where they are not told."""
-    column = decoded.columns[name]
-    values = column.values.tolist()
-    if column.texts is not None:
-        values = [column.texts[value] for value in values]
-    return (
-        values
-        if column.valid is None
-        else [v if ok else None for v, ok in zip(values, column.valid, strict=True)]
-    )
-
+from .conftest import decode, plain
 
 # --- protobuf ------------------------------------------------------------------------------------
 
@@ -161,7 +139,7 @@ def test_parts_that_stand_twice_are_merged_as_protobuf_says() -> None:
 @pytest.mark.parametrize(("count", "whole"), [(40_000, True), (1_000_000, False)])
 def test_many_fields_in_one_message_among_many_are_scanned_alone(count: int, whole: bool) -> None:
     payloads = [b"\x08\x01"] * 20 + [b"\x08\x01" * count]
-    data = np.frombuffer(b"".join(payloads) + bytes(16), np.uint8)
+    data = np.frombuffer(b"".join(payloads) + bytes(32), np.uint8)
     ends = np.cumsum([len(payload) for payload in payloads]).astype(np.int64)
     starts = np.concatenate([[0], ends[:-1]])
     found, broken = scan(data, Spans(np.arange(21), starts, starts, ends), {1}, Budget(10**9))
@@ -240,65 +218,6 @@ def test_a_definition_of_nothing_cannot_make_a_payload_endless() -> None:
     assert decode(ros_decoder(types, Mapping({"x": "x"}), True, Budget(10**9)), [bytes(50)]).bad
 
 
-# --- JSON ----------------------------------------------------------------------------------------
-
-JSON = Mapping({"x_m": "pose.x", "vehicle_id": "id", "time": "stamp"})
-
-
-def one_by_one(payloads: list[bytes]) -> list[tuple[Any, Any]]:
-    rows_ = []
-    for payload in payloads:
-        value = json.loads(payload)
-        rows_.append((value.get("pose", {}).get("x"), value.get("id")))
-    return rows_
-
-
-@pytest.mark.parametrize(
-    "extra",
-    [
-        b'{"pose": {"x": 3}, "id": "b", "stamp": {"sec": 5, "nsec": 6}}',
-        b'{"pose": {},\n "id": null, "stamp": {"sec": 5}}',
-        b'{"id": "\\u00e9\\n", "more": [1, {"deep": []}]}',
-        b'{"pose": {"x": 1e3}, "id": "c"}',
-        b"{}",
-    ],
-)
-def test_json_is_decoded_as_by_the_reference_library(extra: bytes) -> None:
-    sound = b'{"pose": {"x": 1.25, "y": 2}, "id": "a", "stamp": {"sec": 1700000000, "nsec": 999999999}}'
-    payloads = [sound, extra, sound]
-    decoded = decode(JsonDecoder(JSON), payloads)
-    assert decoded.bad == []
-    assert list(zip(plain(decoded, "x_m"), plain(decoded, "vehicle_id"), strict=True)) == one_by_one(payloads)
-    assert plain(decoded, "time.sec")[0] == 1_700_000_000
-
-
-@pytest.mark.parametrize(
-    "damage",
-    [b"", b"[1]", b'"x"', b'{"id": ', b'{"pose": {"x": true}}', b"\xff", b"[" * 100_000, b'{"a":' * 50_000],
-)
-def test_what_is_no_json_object_of_this_kind_is_bad_alone(damage: bytes) -> None:
-    sound = b'{"pose": {"x": 1.25}, "id": "a", "stamp": {"sec": 1, "nsec": 2}}'
-    decoded = decode(JsonDecoder(JSON), [sound, damage, sound])
-    assert [row for row, _ in decoded.bad] == [1]
-    assert decoded.rows.tolist() == [0, 2]
-
-
-def test_numbers_of_json_that_are_not_finite_or_too_long_are_kept_as_such() -> None:
-    values = [b"NaN", b"1e999", b"-Infinity", b"123456789012345678901234567890"]
-    decoded = decode(JsonDecoder(Mapping({"x_m": "x"})), [b'{"x": ' + value + b"}" for value in values])
-    assert decoded.bad == []
-    assert [str(value) for value in plain(decoded, "x_m")] == ["nan", "inf", "-inf", "1.2345678901234568e+29"]
-
-
-def test_json_lists_give_their_items() -> None:
-    mapping = Mapping({"vehicle_id": "id", "time_ns": "/t", "x_m": "p.0"}, "objects")
-    payload = b'{"t": 1700000000000000001, "objects": [{"id": 7, "p": [1.5, 2]}, {"id": 8, "p": []}]}'
-    decoded = decode(JsonDecoder(mapping), [payload, b'{"t": 1}', b'{"objects": 3}'])
-    assert [row for row, _ in decoded.bad] == [2]
-    assert (plain(decoded, "vehicle_id"), plain(decoded, "x_m")) == ([7, 8], [1.5, None])
-    assert plain(decoded, "time_ns") == [1_700_000_000_000_000_001] * 2
-
-
 # --- what they stand on --------------------------------------------------------------------------
 
 
@@ -364,48 +283,3 @@ def test_a_small_file_cannot_ask_for_much_work() -> None:
     budget.spend(10**6)
     decoded = decode(ProtobufDecoder(TYPE, MAPPING, budget), [b"\x08\x01"])
     assert "more fields than a file of this size may hold" in str(decoded.bad[0][1])
-
-
-LINE = '{"stamp": {"sec": 1, "nsec": 2}, "id": "a", "pose": {"x": 1.5, "p": [1, 2e3]}, "last": -0.25}'
-
-
-@pytest.mark.parametrize(
-    "other",
-    [
-        LINE,
-        LINE.replace("1.5", "-17.000000000000001"),
-        LINE.replace('"a"', '"another"'),
-        LINE.replace('"a"', '"a,b"'),
-        LINE.replace('"a"', r'"a\"b"'),
-        LINE.replace('"a"', '"é"'),
-        LINE.replace('"a"', "7"),
-        LINE.replace("1.5", "NaN"),
-        LINE.replace("1.5", "-Infinity"),
-        LINE.replace("1.5", "1e999"),
-        LINE.replace("1.5", "null"),
-        LINE.replace("1.5", '"1.5"'),
-        LINE.replace("1.5", "true"),
-        LINE.replace("1.5,", '1.5, "y": 3,'),
-        LINE.replace('"last"', '"lost"'),
-        LINE.replace(" ", ""),
-        LINE.replace(", ", ",\n"),
-        LINE.replace('"nsec": 2', '"nsec": 2.5'),
-        LINE[:-1],
-        LINE + "}",
-        LINE + LINE,
-        "",
-        "[]",
-        "x",
-    ],
-)
-def test_json_of_one_form_is_read_as_one_by_one(other: str) -> None:
-    mapping = Mapping({"time": "stamp", "vehicle_id": "id", "x_m": "pose.x", "y_m": "last", "p": "pose.p.0"})
-    payloads = [line.encode() for line in (LINE, LINE, other, LINE)]
-    for wanted in (mapping, Mapping({k: v for k, v in mapping.fields.items() if k != "p"})):
-        decoder, exact = JsonDecoder(wanted), JsonDecoder(wanted)
-        found = decode(decoder, payloads)
-        truth = exact._exact(payloads)
-        assert found.rows.tolist() == truth.rows.tolist()
-        assert [row for row, _ in found.bad] == [row for row, _ in truth.bad]
-        for name in truth.columns:
-            assert plain(found, name) == pytest.approx(plain(truth, name), nan_ok=True), name

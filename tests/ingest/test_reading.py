@@ -161,3 +161,17 @@ def test_small_chunks_and_none_give_the_same(
     ]
     assert tables[0].height == 120
     assert all(table.equals(tables[0]) for table in tables[1:])
+
+
+def test_a_json_payload_beyond_the_limit_is_told_where_it_is_the_only_one(
+    topic: Any, write_log: Any, save: Any
+) -> None:
+    made = topic("/s", [(T0_NS, b'{"x": "' + b"a" * 5 * 2**20 + b'"}')], "", "", b"", "json")
+    log = read_log(save(write_log(made)), parse_config(FIELDS))
+    assert (log.states.height, codes(log)) == (0, ["payload"])
+
+
+def test_a_vehicle_id_that_is_no_number_is_read(topic: Any, write_log: Any, save: Any) -> None:
+    values = [{"id": value, "x": 1.0, "y": 2.0} for value in (float("nan"), 1.5, 1.25)]
+    log = read_log(save(write_log(json_topic(topic, values))), parse_config(FIELDS))
+    assert sorted(log.states["vehicle_id"]) == ["1.25", "1.5", "nan"]
