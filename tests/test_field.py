@@ -161,6 +161,28 @@ def test_a_turned_and_shifted_log_has_the_same_plan(angle_deg: float) -> None:
         np.testing.assert_allclose(other[vehicle], motion @ turn.T + shift, atol=0.02)
 
 
+def test_a_window_is_planned_about_its_own_origin_wherever_it_was_recorded() -> None:
+    far = (4.0e7, -3.0e7)
+    here, there = planned(BUSY), planned(turned(BUSY, 0.0, far))
+    frames = [plan.scenario.window.frame for plan in (here, there)]
+    assert (frames[1].x_m - frames[0].x_m, frames[1].y_m - frames[0].y_m) == far
+    for plan in (here, there):
+        assert max(np.abs(p.recording.poses[:, :2]).max() for p in plan.scenario.participants) < 60.0
+    for one, other in zip(here.trajectories, there.trajectories, strict=True):
+        np.testing.assert_allclose(other.states, one.states, atol=1e-5)
+
+
+def test_a_log_recorded_at_another_time_under_other_names_has_the_same_plan() -> None:
+    names = {"1": "car a", "2": "car b", "3": "car c", "4": "car d"}
+    states = BUSY.states.with_columns(
+        time_ns=pl.col("time_ns") + 1_700_000_000_123_456_789, vehicle_id=pl.col("vehicle_id").replace(names)
+    )
+    original, other = planned(BUSY), planned(replace(BUSY, states=states))
+    for one, same in zip(original.trajectories, other.trajectories, strict=True):
+        assert same.vehicle_id == names[one.vehicle_id]
+        np.testing.assert_allclose(same.states, one.states, atol=1e-6)
+
+
 def test_where_nothing_needs_to_change_the_plan_is_the_recording() -> None:
     plan = planned(log_of(driver("1"), driver("2", 4.0, 3.0)))
     for trajectory, participant in zip(plan.trajectories, plan.scenario.participants, strict=True):
