@@ -391,6 +391,34 @@ def synthetic_result(synthetic_bytes: bytes) -> Result:
     return read_result(synthetic_bytes)
 
 
+@pytest.fixture(scope="session")
+def long_bytes(
+    synthetic_plan: tuple[Log, list[WindowPlan]],
+    synthetic_certificates: list[Certificate],
+    synthetic_summary: dict[str, Any],
+) -> bytes:
+    """The result.mcap of `synthetic_plan` five times in a row."""
+    from istc_replay.export.result_mcap import result_bytes
+
+    log, (plan,) = synthetic_plan
+    window, (entry,) = plan.scenario.window, synthetic_summary["windows"]
+    span_ns = window.end_ns - window.start_ns
+    plans, certificates, windows, tables = [], [], [], []
+    for k in range(5):
+        span = {"start_ns": window.start_ns + k * span_ns, "end_ns": window.end_ns + k * span_ns}
+        moved = replace(plan.scenario, window=replace(window, index=k, **span))
+        plans.append(replace(plan, scenario=moved))
+        certificates += [replace(check, window=k) for check in synthetic_certificates]
+        windows.append(entry | span | {"index": k})
+        # The next window begins with the state at its start.
+        own = log.states.filter(pl.col("time_ns") < window.end_ns) if k < 4 else log.states
+        tables.append(own.with_columns(pl.col("time_ns") + k * span_ns))
+    states = pl.concat(tables).sort("vehicle_id", "time_ns")
+    summary = synthetic_summary | {"windows": windows}
+    long = replace(log, states=states)
+    return result_bytes(long, plans, certificates, summary, "[window]\nunit_s = 1.0\n", {})
+
+
 def _renamed(result: Result, new_names: dict[str, str]) -> Result:
 
     def rename(value: Any) -> Any:

@@ -53,9 +53,9 @@ def plot_chunks(stage: Stage, found: list[Clearance]) -> list[Chunk]:
     chunks = _limits(stage)
     for source, tracks in (("recorded", stage.recorded), ("planned", stage.in_force)):
         for track in tracks.values():
-            own = stage.own(track)
-            if len(own.times_ns) and (track.vehicle_id in stage.starring or stage.plots_all):
-                chunks += _signals(stage, source, own)
+            plotted = track.vehicle_id in stage.starring or stage.plots_all
+            if plotted and stage.in_part(track.times_ns).any():
+                chunks += _signals(stage, source, track)
     for vehicle_id in stage.vehicle_ids:
         chunks += _states(stage, vehicle_id)
     return chunks + _clearances(stage, found) + _precedence(stage)
@@ -111,10 +111,13 @@ def _signals(stage: Stage, source: str, track: Track) -> list[Chunk]:
 
 
 def _line(stage: Stage, path: str, track: Track, values: FloatArray) -> list[Chunk]:
-    """A line of values (S,) with a gap where the track is interrupted."""
-    breaks = np.flatnonzero(track.ends_ns[:-1] < track.times_ns[1:]) + 1
+    """A line of values (S,) with a gap where the track is interrupted, or may go on in a later part."""
+    following = FOREVER_NS if stage.anchor.until_ns is not None else -FOREVER_NS
+    breaks = np.flatnonzero(track.ends_ns < np.append(track.times_ns[1:], following)) + 1
+    own = stage.in_part(track.times_ns)
+    own = np.insert(own, breaks, own[breaks - 1])
     times = np.insert(track.times_ns, breaks, track.ends_ns[breaks - 1])
-    return _scalars(stage, path, times, np.insert(values, breaks, np.nan))
+    return _scalars(stage, path, times[own], np.insert(values, breaks, np.nan)[own])
 
 
 def _scalars(stage: Stage, path: str, times_ns: IntArray, values: FloatArray) -> list[Chunk]:

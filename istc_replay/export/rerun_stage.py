@@ -262,10 +262,13 @@ def make_stage(result: Result, view: ViewConfig, anchor: Anchor = Anchor()) -> S
         for source in ("planned", "guidance")
     }
     shown_end = {s.index: s.shown_end_ns if s is not spans[-1] else until_ns for s in spans}
+    # Of the parts before and after, what a trail and the end of a motion need.
+    low_ns = -FOREVER_NS if anchor.from_ns is None else anchor.from_ns
+    beyond = ~pl.col("time_ns").is_between(low_ns, until_ns, closed="left")
+    end = pl.col("window").replace_strict(shown_end, default=None, return_dtype=pl.Int64)
     in_force = states.filter(
         pl.col("source") == "planned",
-        pl.col("time_ns")
-        < pl.col("window").replace_strict(shown_end, default=anchor.from_ns or 0, return_dtype=pl.Int64),
+        pl.when(end.is_null()).then(beyond).otherwise(pl.col("time_ns") < end),
     )
     ids = sorted(set(states["vehicle_id"]) | set(result.corridors["vehicle_id"]))
     stage = Stage(

@@ -202,9 +202,7 @@ def _unsent(chunks: list[Chunk], sent: set[bytes]) -> list[Chunk]:
     for chunk in chunks:
         if chunk.is_static:
             batch = chunk.to_record_batch()
-            told = [
-                batch.column(name).to_pylist() for name in batch.schema.names if "row_id" not in name.lower()
-            ]
+            told = [batch.column(name).to_pylist() for name in batch.schema.names if "RowId" not in name]
             digest = hashlib.sha256(f"{chunk.entity_path}\n{batch.schema.names}\n{told}".encode()).digest()
             if digest in sent:
                 continue

@@ -86,7 +86,7 @@ def result_parts(source: Path | bytes, head: Result, windows: int) -> Iterator[R
 
 
 def window_states(source: Path | bytes, head: Result, indices: Sequence[int]) -> pl.DataFrame:
-    """The states of some windows, and all others within them."""
+    """The states of some windows, and what is recorded within them."""
     chosen = [window for window in head.summary["windows"] if window["index"] in set(indices)]
     ordered = sorted(chosen, key=lambda w: (w["start_ns"], w["index"]))
     spans = [_Span((window,), window["start_ns"], window["end_ns"] + 1) for window in ordered]
