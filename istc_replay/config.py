@@ -266,10 +266,10 @@ class CorridorsConfig(Section):
 class TrajectoriesConfig(Section):
     """Layer 2, eq. (13) to (19)."""
 
-    integrator: Literal["rk4", "euler"] = "rk4"
-    """rk4, or the paper's explicit Euler, whose drift from the true motion the solves table tells."""
+    integrator: Literal["gauss", "euler"] = "gauss"
+    """gauss: collocation of order 6; euler: the paper's, whose drift from the true motion the solves tell."""
     step_s: Positive = 0.2
-    """Control interval; with euler, 0.1 is the paper's."""
+    """Control interval, in a unit of T the nearest length that divides T; with euler, 0.1 is the paper's."""
     curvature_weight: NonNegative = 1.0
     """omega_kappa of eq. (13)."""
     steering_rate_weight: NonNegative = 100.0

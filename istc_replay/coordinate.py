@@ -50,8 +50,6 @@ ARRIVED_M = 1.0
 _RESEEDS = 2
 #: A plan keeps this from its lateral bound, at instants no farther apart than the second [m, s].
 _LATERAL_RESERVE_M, _LATERAL_STEP_S = 0.02, 0.05
-#: At time units no longer than this, traffic has two control intervals in each.
-_SHORT_UNIT_S = 0.5
 #: Where vehicles have to be frozen, plans at so many of the finest time units are compared.
 _PARTIALS = 2
 
@@ -67,19 +65,15 @@ class Planners:
 
     def __init__(self, config: Config) -> None:
         self._config = config
-        self._planners: dict[tuple[float, bool], TrajectoryPlanner] = {}
+        self._planners: dict[float, TrajectoryPlanner] = {}
         self.repairer = RecordingRepairer(config.trajectories)
 
     def of(self, scenario: Scenario) -> TrajectoryPlanner:
         """The planner of a window's time unit."""
         unit_s = scenario.window.unit_s
-        key = (unit_s, scenario.traffic)
-        if key not in self._planners:
-            settings = self._config.trajectories
-            if scenario.traffic and unit_s <= _SHORT_UNIT_S:
-                settings = settings.model_copy(update={"step_s": max(settings.step_s, unit_s / 2.0)})
-            self._planners[key] = TrajectoryPlanner(settings, unit_s)
-        return self._planners[key]
+        if unit_s not in self._planners:
+            self._planners[unit_s] = TrajectoryPlanner(self._config.trajectories, unit_s)
+        return self._planners[unit_s]
 
 
 def plan_part(

@@ -84,7 +84,15 @@ def test_configuration_keys_that_the_docs_name_exist() -> None:
         for key in re.findall(
             r"`((?:ingest|window|vehicles|guidance|corridors|trajectories|certificate|view)\.\w+)`", text
         ):
-            assert key in known or key.split(".")[1] in ("nlp", "plan", "walls", "topics", "by_id", "rrd"), (
+            assert key in known or key.split(".")[1] in (
+                "collocation",
+                "nlp",
+                "plan",
+                "walls",
+                "topics",
+                "by_id",
+                "rrd",
+            ), (
                 name,
                 key,
             )

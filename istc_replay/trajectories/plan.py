@@ -50,8 +50,7 @@ class TrajectoryPlanner:
     ----------
     config : TrajectoriesConfig
     unit_s : float
-        Length of a time unit [s]; control intervals are the longest that divide it and are at
-        most `config.step_s`.
+        Length of a time unit [s]; `Grid.cut` tells how control intervals divide it.
     """
 
     def __init__(self, config: TrajectoriesConfig, unit_s: float) -> None:
@@ -168,7 +167,7 @@ class TrajectoryPlanner:
 
     def _excess(self, task: Task, solution: NlpSolution) -> FloatArray:
         """How far the car-box sticks out (S-1, 4): in continuous time, with Euler at the knots."""
-        if self._config.integrator == "rk4":
+        if self._config.integrator == "gauss":
             return excess(task.grid, solution.states[0], solution.controls, task.dimensions, task.cubes_m)
         x, y, heading = solution.states[1:, :3].T
         reach = task.dimensions.rear_axle_to_centre_m

@@ -10,7 +10,6 @@ import math
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -27,7 +26,8 @@ from istc_replay.datatypes import (
     read_only,
 )
 from istc_replay.geometry import shift_along, to_frame, to_map
-from istc_replay.trajectories.nlp import _STATUS, _options, _pack, _rk4_step
+from istc_replay.trajectories.collocation import interval_end
+from istc_replay.trajectories.knots import STATES, KnotNlp, Model, Rows
 
 #: Weights of the distance to the recorded centres [1/m^2] and headings [1/rad^2], of steering rate, jerk
 #: and curvature.
@@ -81,7 +81,7 @@ class RecordingRepairer:
 
     def __init__(self, config: TrajectoriesConfig) -> None:
         self._config = config
-        self._compiled: dict[int, ca.Function] = {}
+        self._compiled: dict[tuple[int, float], KnotNlp] = {}
 
     def repair(
         self,
@@ -118,42 +118,34 @@ class RecordingRepairer:
         headings = states[:, 2].copy()
         lower, upper = self._bounds(participant, intervals, speed_max_mps)
         states = np.clip(states, lower, upper)
-        # The NLP is of at least as many intervals: those behind the last are of no time and no weight.
-        whole = _whole(intervals)
-        more = ((0, whole - intervals), (0, 0))
-        states, lower, upper = (np.pad(rows, more, mode="edge") for rows in (states, lower, upper))
-        known = np.arange(whole + 1) <= intervals
-        steps = np.where(known[1:], step_s, 0.0)
-        limit = np.tile([self._config.steering_rate_max_radps, self._config.jerk_max_mps3], (whole, 1))
-        tracks = np.pad(np.column_stack([centres, headings]), more, mode="edge")
-        parameters = [size.wheelbase_m, size.rear_axle_to_centre_m], steps, known, tracks[:, :2].ravel()
-        solver = self._solver(whole)
+        rate, jerk = self._config.steering_rate_max_radps, self._config.jerk_max_mps3
         began = time.perf_counter()
-        answer = solver(
-            x0=_pack(states, np.zeros((whole, 2))),
-            p=np.concatenate([*parameters, tracks[:, 2]]),
-            lbx=_pack(lower, -limit),
-            ubx=_pack(upper, limit),
-            lbg=np.concatenate([[-_START_M, -_START_M], np.zeros(7 * whole)]),
-            ubg=np.concatenate([[_START_M, _START_M], np.tile([0.0] * 6 + [speed_max_mps], whole)]),
+        found = self._solver(intervals, step_s).solve(
+            guess=(states, np.zeros((intervals, 2))),
+            states=(lower, upper),
+            controls_most=np.array([rate, jerk]),
+            rows=(
+                np.concatenate([[-_START_M, -_START_M], np.zeros(intervals)]),
+                np.concatenate([[_START_M, _START_M], np.full(intervals, speed_max_mps)]),
+            ),
+            shared=np.array([size.wheelbase_m, size.rear_axle_to_centre_m]),
+            own=np.column_stack([centres, headings]),
         )
-        report = solver.stats()
-        status = _STATUS.get(report["return_status"], SolveStatus.ERROR)
         record = SolveRecord(
             layer="guidance",
             stage="repair",
             solver="ipopt",
-            status=status,
+            status=found.status,
             vehicle_id=participant.vehicle_id,
-            objective=float(answer["f"]),
+            objective=found.objective,
             wall_s=time.perf_counter() - began,
-            iterations=int(report["iter_count"]),
-            detail=report["return_status"],
+            iterations=found.iterations,
+            detail=found.reason,
         )
-        if status not in (SolveStatus.OPTIMAL, SolveStatus.FEASIBLE):
+        if found.status not in (SolveStatus.OPTIMAL, SolveStatus.FEASIBLE):
             return None, record
-        held = np.asarray(answer["x"], dtype=np.float64).ravel()[: 8 * intervals].reshape(-1, 8)
-        return _motion(participant, held[0, :6], held[:, 6:], step_s, (at_s, targets[:, :2]), origin), record
+        start = found.states[0]
+        return _motion(participant, start, found.controls, step_s, (at_s, targets[:, :2]), origin), record
 
     def _guess(self, participant: Participant, times_s: FloatArray, targets: FloatArray) -> FloatArray:
         recording, heading = participant.recording, targets[:, 2]
@@ -180,16 +172,12 @@ class RecordingRepairer:
             lower[0] = upper[0] = np.array(known, dtype=np.float64)
         return lower, upper
 
-    def _solver(self, intervals: int) -> ca.Function:
-        if intervals not in self._compiled:
-            self._compiled[intervals] = _build(intervals, self._config.iteration_budget)
-        return self._compiled[intervals]
-
-
-def _whole(intervals: int) -> int:
-    """The least of 2, 3, 4, 6, 8, 12, .. that is no less: stays have any length, NLPs are slow to build."""
-    power = 1 << max(0, intervals - 1).bit_length()
-    return max(2, power if intervals > power * 3 // 4 else power * 3 // 4)
+    def _solver(self, intervals: int, step_s: float) -> KnotNlp:
+        key = (intervals, step_s)
+        if key not in self._compiled:
+            model = _model(intervals, step_s)
+            self._compiled[key] = KnotNlp(model, intervals, self._config.iteration_budget)
+        return self._compiled[key]
 
 
 def _cut(units: int, unit_s: float) -> tuple[float, int]:
@@ -203,36 +191,24 @@ def _cut(units: int, unit_s: float) -> tuple[float, int]:
     return unit_s / per_unit, units * per_unit
 
 
-def _build(intervals: int, iterations: int) -> ca.Function:
-    states = [ca.SX.sym(f"s{i}", 6) for i in range(intervals + 1)]
-    controls = [ca.SX.sym(f"u{i}", 2) for i in range(intervals)]
-    size, targets = ca.SX.sym("size", 2), ca.SX.sym("targets", 2, intervals + 1)
-    headings, weights = ca.SX.sym("headings", intervals + 1), ca.SX.sym("weights", intervals + 1)
-    steps_s = ca.SX.sym("steps", intervals)
-    symbols: list[Any] = [ca.SX.sym("s", 6), ca.SX.sym("u", 2), ca.SX.sym("h"), ca.SX.sym("l")]
-    step = ca.Function("step", symbols, [_rk4_step(*symbols)])
-    cost: Any = 0.0
-    rows = []
-    for i, here in enumerate(states):
-        x = here[0] + size[1] * ca.cos(here[2]) - targets[0, i]
-        y = here[1] + size[1] * ca.sin(here[2]) - targets[1, i]
-        if i == 0:
-            rows += [x, y]  # the plan has to begin where the vehicle was recorded
-        off = _POSITION * (x**2 + y**2) + _HEADING * (here[2] - headings[i]) ** 2
-        cost += weights[i] * (off + _CURVATURE * (ca.tan(here[3]) / size[0]) ** 2)
-    for i, held in enumerate(controls):
-        rows.append(step(states[i], held, steps_s[i], size[0]) - states[i + 1])
-        # The speed's Bezier point: with it, the speed keeps its limits between the knots too.
-        rows.append(states[i][4] + states[i][5] * (steps_s[i] / 2))
-        cost += _STEERING_RATE * held[0] ** 2 + _JERK * held[1] ** 2
-    x = ca.vertcat(*(ca.vertcat(*pair) for pair in zip(states, controls, strict=False)), states[-1])
-    problem: dict[str, Any] = {
-        "x": x,
-        "p": ca.vertcat(size, steps_s, weights, ca.vec(targets), headings),
-        "f": cost,
-        "g": ca.vertcat(*rows),
-    }
-    return ca.nlpsol("repair", "ipopt", problem, _options(iterations))
+def _model(intervals: int, step_s: float) -> Model:
+    """The expressions of one knot: it tracks centres and headings, and starts near the first of them."""
+    knot, size, target = ca.SX.sym("knot", 8), ca.SX.sym("size", 2), ca.SX.sym("target", 3)
+    off = knot[:2] + size[1] * ca.vertcat(ca.cos(knot[2]), ca.sin(knot[2])) - target[:2]
+    cost = _POSITION * ca.sumsqr(off) + _HEADING * (knot[2] - target[2]) ** 2
+    cost += _CURVATURE * (ca.tan(knot[3]) / size[0]) ** 2
+    cost += _STEERING_RATE * knot[STATES] ** 2 + _JERK * knot[STATES + 1] ** 2
+    # The speed's Bezier point: with it, the speed keeps its limits between the knots too.
+    between = knot[4] + knot[5] * (step_s / 2)
+    return Model(
+        knot=knot,
+        shared=size,
+        own=target,
+        end=interval_end(knot, size[0], step_s, "gauss"),
+        costs=cost,
+        # The plan has to begin where the vehicle was recorded.
+        rows=(Rows(off, range(1)), Rows(between, range(intervals))),
+    )
 
 
 def _motion(

@@ -21,12 +21,14 @@ from istc_replay.geometry import box_corners, shift_along
 SIDES = np.array([-1.0, 1.0, -1.0, 1.0])
 #: Spacing of the samples that the continuous-time check bounds the motion between: everywhere, and
 #: in intervals that this cannot decide.
-_DENSE_S, _FINEST_S = 0.01, 2e-4
+_DENSE_S, _FINEST_S = 0.02, 2e-4
 #: Room that no margin is taken from, as it is all that IPOPT has to move in; but for the
-#: micrometres by which Runge-Kutta misses the true motion.
+#: micrometres by which the integrator may miss the true motion.
 _SLIVER_M, _DRIFT_M = 2e-3, 5e-6
 #: Every wall is this much further out, well below the rounding that certificates allow.
 _GIVE_M = 2e-7
+#: Time units from this on have two control intervals or more [s].
+_TWO_S = 0.25
 #: An NLP of more control intervals would take minutes and gigabytes.
 _MOST_INTERVALS = 1000
 
@@ -38,24 +40,26 @@ class Grid:
     units: int
     per_unit: int
     step_s: float
-    substeps: int = 2  # of the integrator in a control interval
 
     @classmethod
     def cut(cls, units: int, unit_s: float, config: TrajectoriesConfig) -> Grid:
-        """Cut units into the longest control intervals that are at most `config.step_s`.
+        """Cut units into control intervals as near to `config.step_s` as divides them.
+
+        A unit of `_TWO_S` or more has two at least, so that walls are held in its middle too.
 
         Raises
         ------
         SolveError
             If that makes more than `_MOST_INTERVALS`.
         """
-        per_unit = max(1, math.ceil(unit_s / config.step_s - 1e-9))
+        least = 2 if unit_s >= _TWO_S else 1
+        per_unit = max(least, math.ceil(unit_s / config.step_s - 0.5 - 1e-9))
         if units * per_unit > _MOST_INTERVALS:
             raise SolveError(
                 f"{units} units of {unit_s:g} s at trajectories.step_s = {config.step_s:g} make "
                 f"{units * per_unit} control intervals, at most {_MOST_INTERVALS}: raise step_s"
             )
-        return cls(units, per_unit, unit_s / per_unit, 2 if config.integrator == "rk4" else 1)
+        return cls(units, per_unit, unit_s / per_unit)
 
     @property
     def intervals(self) -> int:

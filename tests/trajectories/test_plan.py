@@ -261,9 +261,9 @@ def test_the_same_course_gives_the_same_trajectory_whatever_was_planned_before(l
 def test_times_count_from_the_windows_start_and_intervals_divide_the_unit(lab: SimpleNamespace) -> None:
     course = replace(lab.s_bend(units=6, unit_s=0.5), first_unit=4)
     trajectory = lab.planned(course)
-    assert trajectory.times_s == pytest.approx(2.0 + np.arange(19) / 6)  # 0.2 s does not divide 0.5 s
-    assert trajectory.states.shape == (19, 6)
-    assert trajectory.controls.shape == (18, 2)
+    assert trajectory.times_s == pytest.approx(2.0 + np.arange(13) / 4)  # 0.2 s does not divide 0.5 s
+    assert trajectory.states.shape == (13, 6)
+    assert trajectory.controls.shape == (12, 2)
     assert not trajectory.states.flags.writeable
 
 

@@ -17,14 +17,14 @@ GRID = Grid(units=2, per_unit=2, step_s=0.5)
 
 @pytest.mark.parametrize(
     ("unit_s", "step_s", "per_unit"),
-    [(1.0, 0.2, 5), (0.5, 0.2, 3), (0.25, 0.2, 2), (0.3, 0.1, 3), (0.1, 0.2, 1)],
+    [(1.0, 0.2, 5), (0.5, 0.2, 2), (0.25, 0.2, 2), (0.3, 0.1, 3), (0.125, 0.2, 1), (1.0, 0.3, 3)],
 )
-def test_a_unit_is_cut_into_the_longest_intervals_that_divide_it(
+def test_a_unit_is_cut_into_intervals_as_near_as_divide_it(
     unit_s: float, step_s: float, per_unit: int
 ) -> None:
     grid = Grid.cut(4, unit_s, TrajectoriesConfig(step_s=step_s))
     assert grid.per_unit == per_unit
-    assert grid.step_s <= step_s
+    assert grid.step_s == pytest.approx(unit_s / per_unit)
     assert grid.knots_s[-1] == pytest.approx(4 * unit_s)
 
 
