@@ -10,6 +10,7 @@ import numpy as np
 
 from istc_replay.bicycle import dense_motion
 from istc_replay.corridors.formulation import default_limits
+from istc_replay.corridors.seeded import Seeds
 from istc_replay.corridors.solve import bounded, find_corridors, prove_corridors
 from istc_replay.datatypes import SolveStatus, WindowPlan, WindowStatus
 from istc_replay.errors import SolveError
@@ -220,7 +221,9 @@ class _Rounds:
     strayed: dict[str, int] = field(default_factory=dict)
     lateral: tuple[Lateral, ...] = ()
     records: list[SolveRecord] = field(default_factory=list)
-    seeds: int | None = 0  # None while a small crowd is tried by the conflict tree alone
+    seeds: Seeds | None = field(
+        default_factory=Seeds
+    )  # None while a small crowd is tried by the conflict tree alone
     kept: tuple[tuple[int, float], WindowPlan, Search | None] | None = None
     search: Search | None = None  # of the last round
     stuck: bool = False
@@ -238,7 +241,7 @@ class _Rounds:
         """Go on with seeds where a small crowd was tried without; whether it was."""
         if self.seeds is not None:
             return False
-        self.seeds, self.round = 0, 0
+        self.seeds, self.round = Seeds(), 0
         return True
 
     def run(self) -> WindowPlan | None:
@@ -332,13 +335,15 @@ class _Rounds:
                     return replace(plan, corridors=better, trajectories=found, lateral=laterals)
         return replace(plan, corridors=bounded(before, better.bound, self.config.corridors.gap_tolerance))
 
-    def _reseed(self, wanted: bool) -> bool:
-        """Whether a scene is tried again from other seeds."""
+    def _reseed(self, wanted: bool, undrivable: Sequence[Undrivable] = ()) -> bool:
+        """Whether a scene is tried again: from its last seed, where that is undrivable, or from others."""
         scene = not self.ready.scenario.traffic and self.config.corridors.formulation != "paper"
         most = min(_RESEEDS, self.config.trajectories.feedback_rounds)
         if not (wanted and scene and self.round <= most):
             return False
-        self.seeds = (self.seeds or 0) + 1
+        numbers = {p.vehicle_id: i for i, p in enumerate(self.ready.scenario.participants)}
+        self.seeds = self.seeds or Seeds()
+        self.seeds.again([(numbers[u.vehicle_id], u.unit) for u in undrivable])
         return True
 
     def _late(self, found: tuple[Trajectory, ...]) -> list[str]:
@@ -391,7 +396,7 @@ class _Rounds:
             most = 0
         again = [u.vehicle_id for u in undrivable if self.tightened.get(u.vehicle_id, 0) < most]
         if self.ready.scenario.crowded:
-            return self._reseed(most > 0)
+            return self._reseed(most > 0, undrivable)
         if not self.ready.scenario.traffic:
             again = [u.vehicle_id for u in undrivable] if self.round <= most else []
         for vehicle in again:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
@@ -19,6 +19,7 @@ from istc_replay.datatypes import SolveRecord, SolveStatus, read_only
 if TYPE_CHECKING:
     from istc_replay.config import CorridorsConfig
     from istc_replay.corridors.problem import CorridorProblem
+    from istc_replay.corridors.seed.lattice import Lattice
     from istc_replay.datatypes import FloatArray, Guidance, Scenario
 
 #: Who steps less in a unit stands [m]; the last pivotal points, as many at most, lie this near to the goal.
@@ -30,13 +31,31 @@ _MORE_M = 0.1
 Rewritten = Callable[[Sequence["Guidance"]], "CorridorProblem"]
 
 
+@dataclass(slots=True)
+class Seeds:
+    """What the rounds of a scene keep of its seeds; each attempt plants others."""
+
+    attempt: int = 0
+    lattices: tuple[Lattice, ...] = ()
+    grown: _Growth | None = None  # the seed of the incumbent
+    resumed: bool = False
+
+    def again(self, undrivable: Sequence[tuple[int, int]] = ()) -> None:
+        """Begin another attempt: with the last seed where vehicles (by number) are undrivable in units."""
+        self.attempt += 1
+        self.resumed = bool(undrivable) and self.grown is not None
+        if self.grown is not None:
+            for number, unit in undrivable:
+                self.grown.repair.slow(number, unit)
+
+
 def search_seeds(
     search: Search,
     scenario: Scenario,
     guidance: Sequence[Guidance],
     rewritten: Rewritten,
     config: CorridorsConfig,
-    attempt: int,
+    seeds: Seeds,
 ) -> str:
     """Grow corridors from seeds until one has every vehicle arrive, else keep the best.
 
@@ -50,35 +69,43 @@ def search_seeds(
         Writes the problem about frames.
     config : CorridorsConfig
         Numbers of seeds and of their rounds.
-    attempt : int
-        Later attempts take other seeds.
+    seeds : Seeds
+        Kept from attempt to attempt.
 
     Returns
     -------
     str
         Why there is no incumbent, where there is none.
     """
-    began = time.perf_counter()
-    lattices = make_lattices(scenario, guidance, config)
-    paths = sum(lattice.shape[1] for lattice in lattices)
-    search.record("seed paths", "numpy", SolveStatus.FEASIBLE, began, nodes=paths)
+    if not seeds.lattices:
+        began = time.perf_counter()
+        seeds.lattices = make_lattices(scenario, guidance, config)
+        paths = sum(lattice.shape[1] for lattice in seeds.lattices)
+        search.record("seed paths", "numpy", SolveStatus.FEASIBLE, began, nodes=paths)
     names = [participant.vehicle_id for participant in scenario.participants]
-    found: list[Search] = []
+    found: list[tuple[Search, _Growth]] = []
     reason = ""
-    for number in range(attempt * config.seeds, (attempt + 1) * config.seeds):
-        growth = _Growth(Repair(lattices, config.vehicle_gap_m, number), guidance, rewritten, config)
-        own = growth.run()
+    for growth in _growths(seeds, config):
+        own = growth.run(guidance, rewritten, config)
         search.records += growth.records
         if own is None:
             reason, search.culprits = growth.why_not(names)
             continue
-        found.append(own)
+        found.append((own, growth))
         if not gives_way(own):
             break
-    best = min(found, key=_rank, default=None)
+    best, seeds.grown = min(found, key=lambda pair: _rank(pair[0]), default=(None, None))
     if best is not None and (search.z is None or _rank(best) < _rank(search)):
         _take(search, best)
     return reason
+
+
+def _growths(seeds: Seeds, config: CorridorsConfig) -> Iterator[_Growth]:
+    """The seed that is resumed, then those of this attempt."""
+    if seeds.resumed and seeds.grown is not None:
+        yield seeds.grown
+    for number in range(seeds.attempt * config.seeds, (seeds.attempt + 1) * config.seeds):
+        yield _Growth(Repair(seeds.lattices, config.vehicle_gap_m, number))
 
 
 def _rank(search: Search) -> tuple[bool, float]:
@@ -97,18 +124,18 @@ class _Growth:
     """One seed: its motions are repaired, and repaired again where layer 1 cannot follow them."""
 
     repair: Repair
-    guidance: Sequence[Guidance]
-    rewritten: Rewritten
-    config: CorridorsConfig
     records: list[SolveRecord] = field(default_factory=list)
     missed: list[tuple[str, str, int]] = field(default_factory=list)
 
-    def run(self) -> Search | None:
+    def run(
+        self, guidance: Sequence[Guidance], rewritten: Rewritten, config: CorridorsConfig
+    ) -> Search | None:
         """The corridors about the seed, where there are any."""
-        for _ in range(1 + self.config.seed_feedbacks):
-            if not self._repaired():
+        self.records = []
+        for _ in range(1 + config.seed_feedbacks):
+            if not self._repaired(config):
                 return None
-            search, missed = self._grown(frames_of(self.repair, self.guidance))
+            search, missed = _grown(frames_of(self.repair, guidance), guidance, rewritten, config)
             self.records += search.records
             if search.z is not None:
                 return search
@@ -128,9 +155,9 @@ class _Growth:
         told = ", ".join(f"{one} and {other} in time unit {unit}" for one, other, unit in left)
         return f"conflict left: {told}", tuple((names[i], names[j]) for i, j in conflicts)
 
-    def _repaired(self) -> bool:
+    def _repaired(self, config: CorridorsConfig) -> bool:
         began, before = time.perf_counter(), self.repair.rounds
-        clear = self.repair.run(self.config.seed_rounds, self.config.seed_improvements)
+        clear = self.repair.run(config.seed_rounds, config.seed_improvements)
         self.records.append(
             SolveRecord(
                 "corridors",
@@ -157,28 +184,34 @@ class _Growth:
                 self.repair.keep_apart(first, second, unit, missed_m[d] + _MORE_M)
         self.missed = [(*pair, int(table.unit[d])) for pair, d in worst.items()]
 
-    def _grown(self, frames: tuple[Guidance, ...]) -> tuple[Search, Mapping[int, float]]:
-        """Eq. (4) about a seed: its own relations, then frames that follow; or what is missed."""
-        began = time.perf_counter()
 
-        def anchored(some: Sequence[Guidance]) -> CorridorProblem:
-            return _anchored(self.rewritten(some), frames, self.guidance)
+def _grown(
+    frames: tuple[Guidance, ...],
+    guidance: Sequence[Guidance],
+    rewritten: Rewritten,
+    config: CorridorsConfig,
+) -> tuple[Search, Mapping[int, float]]:
+    """Eq. (4) about a seed: its own relations, then frames that follow; or what is missed."""
+    began = time.perf_counter()
 
-        problem = with_references(anchored(frames), self.guidance)
-        search = Search(problem, frames=frames)
-        found = Mended(missed_m=dict.fromkeys(problem.impossible.tolist(), 0.0))
-        if not found.missed_m and not cramped(problem):
-            found = mended(problem, _points(problem, frames))
-        search.offer(found.z, "seed")
-        search.record(
-            "about the seed",
-            "piqp",
-            SolveStatus.INFEASIBLE if found.z is None else SolveStatus.FEASIBLE,
-            began,
-            objective=None if found.z is None else problem.objective(found.z),
-        )
-        follow(search, self.guidance, anchored, self.config, searched=False)
-        return search, found.missed_m
+    def anchored(some: Sequence[Guidance]) -> CorridorProblem:
+        return _anchored(rewritten(some), frames, guidance)
+
+    problem = with_references(anchored(frames), guidance)
+    search = Search(problem, frames=frames)
+    found = Mended(missed_m=dict.fromkeys(problem.impossible.tolist(), 0.0))
+    if not found.missed_m and not cramped(problem):
+        found = mended(problem, _points(problem, frames))
+    search.offer(found.z, "seed")
+    search.record(
+        "about the seed",
+        "piqp",
+        SolveStatus.INFEASIBLE if found.z is None else SolveStatus.FEASIBLE,
+        began,
+        objective=None if found.z is None else problem.objective(found.z),
+    )
+    follow(search, guidance, anchored, config, searched=False)
+    return search, found.missed_m
 
 
 def _anchored(

@@ -11,7 +11,7 @@ from istc_replay.corridors import proof
 from istc_replay.corridors.formulation import build_problem
 from istc_replay.corridors.incumbent import Search, cramped, fill, follow, gap_between, gives_way, grow_tree
 from istc_replay.corridors.paper import PAPER_BIG_M, build_paper_problem
-from istc_replay.corridors.seeded import search_seeds
+from istc_replay.corridors.seeded import Seeds, search_seeds
 from istc_replay.datatypes import Corridors, SolveStatus
 
 if TYPE_CHECKING:
@@ -28,10 +28,9 @@ def solve_corridors(
     config: CorridorsConfig,
     limits: Mapping[str, Limits],
     speed_max_mps: float,
-    seeds: int | None = 0,
 ) -> Corridors:
     """Construct the interactive spatio-temporal corridors of a window, eq. (4), and bound them as asked."""
-    found, search = find_corridors(scenario, guidance, config, limits, speed_max_mps, seeds)
+    found, search = find_corridors(scenario, guidance, config, limits, speed_max_mps, Seeds())
     return found if search is None else prove_corridors(search, scenario, config)
 
 
@@ -41,7 +40,7 @@ def find_corridors(
     config: CorridorsConfig,
     limits: Mapping[str, Limits],
     speed_max_mps: float,
-    seeds: int | None = 0,
+    seeds: Seeds | None,
 ) -> tuple[Corridors, Search | None]:
     """Find corridors, eq. (4). Every outcome is returned, none is raised, save a missing solver (SolveError).
 
@@ -53,9 +52,9 @@ def find_corridors(
         Limits of the pivotal points by vehicle id.
     speed_max_mps : float
         Largest speed of a plan.
-    seeds : int, optional
-        Which attempt a scene is in: a crowded one begins from seeds, any other from the second attempt
-        on, each from others. None tries the conflict tree alone, within `small_crowd_node_budget`.
+    seeds : Seeds, optional
+        A scene's from attempt to attempt: a crowded one begins from seeds, any other from the second
+        attempt on. None tries the conflict tree alone, within `small_crowd_node_budget`.
 
     Returns
     -------
@@ -73,7 +72,7 @@ def find_corridors(
     def rewritten(frames: Sequence[Guidance]) -> CorridorProblem:
         return build_problem(scenario, frames, config, limits, speed_max_mps)
 
-    if seeds is not None and not paper and not scenario.traffic and (scenario.crowded or seeds > 0):
+    if seeds is not None and not paper and not scenario.traffic and (scenario.crowded or seeds.attempt > 0):
         reason = search_seeds(search, scenario, guidance, rewritten, config, seeds)
         if search.z is None and scenario.crowded:
             return _unfound(search, SolveStatus.LIMIT, reason), None

@@ -171,6 +171,15 @@ class Lattice:
         if deepest > _ROUNDING_M:
             self._cost[:, path, near][:, depth >= deepest - _ROUNDING_M] = np.inf
 
+    def slow(self, motion: Motion, row: int) -> None:
+        """Leave out a motion's last move up to a unit, and faster ones, from places beside it."""
+        steps = np.diff(motion.places)
+        moving = np.flatnonzero(steps[: row + 1])
+        row = int(moving[-1]) if len(moving) else row
+        path, place = motion.path, int(motion.places[row])
+        near = slice(max(0, place - _BESIDE), place + _BESIDE + 1)
+        self._cost[:, path, near, max(1, int(steps[row])) :] = np.inf
+
     def reachable(self) -> Mask:
         """Paths (P,) whose end can be reached at all, whatever the time."""
         free = np.isfinite(self._cost[0]) & (self._depth_of_obstacles <= CLEAR_M)

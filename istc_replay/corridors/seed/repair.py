@@ -74,6 +74,12 @@ class Repair:
         lattice.bar(self.motions[number], unit - lattice.first_unit)
         self._barred.add(number)
 
+    def slow(self, number: int, unit: int) -> None:
+        """Have a vehicle pass more slowly or elsewhere where it is in a unit: layer 2 cannot drive it so."""
+        lattice = self.lattices[number]
+        lattice.slow(self.motions[number], unit - lattice.first_unit)
+        self._barred.add(number)
+
     def keep_apart(self, first: int, second: int, unit: int, more_m: float) -> None:
         """Have two vehicles keep more than the gap in a unit: layer 1 finds them nearer than here."""
         pair = min(first, second), max(first, second)
