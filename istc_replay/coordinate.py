@@ -338,7 +338,9 @@ class _Rounds:
     def _reseed(self, wanted: bool, undrivable: Sequence[Undrivable] = ()) -> bool:
         """Whether a scene is tried again: from its last seed, where that is undrivable, or from others."""
         scene = not self.ready.scenario.traffic and self.config.corridors.formulation != "paper"
-        most = min(_RESEEDS, self.config.trajectories.feedback_rounds)
+        most = self.config.trajectories.feedback_rounds
+        if not undrivable:
+            most = min(_RESEEDS, most)
         if not (wanted and scene and self.round <= most):
             return False
         numbers = {p.vehicle_id: i for i, p in enumerate(self.ready.scenario.participants)}

@@ -24,7 +24,8 @@ STRAIGHT_FIRST = {"1": 0.50, "2": 0.40, "3": 0.01}
 _STEERING_MAX_RAD = 0.6
 _DECELERATION_MPS2 = 2.0
 _STANDING_S = 3  # recorded after the last arrival
-_STANDING_CROWDED_S = 6  # the same where openings are passed in turn
+_STANDING_CROWDED_S = 6  # the same where openings are passed in turn, or a second for each vehicle
+_ONE_WINDOW_S = 20  # unless that made a second window
 _DURATION_MAX_S = 900
 _COUNTS = {4: "four", 6: "six", 8: "eight"}
 #: Larger crossings without obstacles.
@@ -133,8 +134,12 @@ def record(scene: SceneFile, settings: GuidanceConfig | None = None) -> Recorded
     """
     drives = _drives(scene, settings or GuidanceConfig())
     crowded = bool(scene.obstacles) and len(scene.vehicles) >= CROWD
-    standing_s = _STANDING_CROWDED_S if crowded else _STANDING_S
-    duration_s = math.ceil(max(drive.pace.arrival_s for drive in drives) - 1e-9) + standing_s
+    arrival_s = math.ceil(max(drive.pace.arrival_s for drive in drives) - 1e-9)
+    standing_s = _STANDING_S
+    if crowded:
+        in_turn_s = min(len(scene.vehicles), _ONE_WINDOW_S - arrival_s)
+        standing_s = max(_STANDING_CROWDED_S, in_turn_s)
+    duration_s = arrival_s + standing_s
     if duration_s > _DURATION_MAX_S:
         raise ScenarioError(
             f"scene {scene.name}: the recording would last {duration_s} s, at most {_DURATION_MAX_S} s are "
