@@ -233,9 +233,10 @@ def _number(value: float | None, digits: int) -> str:
 
 def copied_lines(copied: Copied) -> Iterator[str]:
     """Tell what a copy holds, and what of its inputs was lost."""
+    private = f", {copied.private} private records" if copied.private else ""
     yield (
         f"{line(copied.path)}: {copied.messages} messages on {copied.channels} channels, "
-        f"{copied.attachments} attachments, {copied.metadata} metadata records"
+        f"{copied.attachments} attachments, {copied.metadata} metadata records{private}"
     )
     for note in copied.notes:
         yield f"  {line(note)}"

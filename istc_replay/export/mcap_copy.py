@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 from typing import IO, TYPE_CHECKING
 
 from mcap.writer import Writer
@@ -15,6 +16,8 @@ LIBRARY = "istc-replay"
 #: Ids are numbers of 16 bits, and 0 is none.
 _MOST_IDS = 2**16 - 1
 
+#: Opcode and length of a record.
+_HEAD = struct.Struct("<BQ")
 _Content = tuple[str, str, "Schema | None", tuple[tuple[str, str], ...]]
 
 
@@ -33,6 +36,7 @@ class LogCopy:
     """
 
     def __init__(self, stream: IO[bytes], profile: str) -> None:
+        self._stream = stream
         self._writer = Writer(stream)
         self._writer.start(profile=profile, library=LIBRARY)
         self._schemas: dict[Schema, int] = {}
@@ -40,7 +44,7 @@ class LogCopy:
         #: By content, the ids given to it; by source and content, the ids it has there.
         self._given: dict[_Content, list[int]] = {}
         self._own: dict[tuple[int, _Content], list[int]] = {}
-        self.messages = self.attachments = self.metadata = 0
+        self.messages = self.attachments = self.metadata = self.private = 0
 
     @property
     def channels(self) -> int:
@@ -68,16 +72,21 @@ class LogCopy:
         if place == len(given):
             if self.channels >= _MOST_IDS:
                 raise ExportError(f"more than {_MOST_IDS} channels: one MCAP file cannot hold them")
-            schema_id = self._schema(channel.schema)
+            schema_id = 0 if channel.schema is None else self.schema(channel.schema)
             given.append(
                 self._writer.register_channel(topic, channel.message_encoding, schema_id, channel.metadata)
             )
         self._channels[(source, channel)] = given[place]
         return given[place]
 
-    def _schema(self, schema: Schema | None) -> int:
-        if schema is None:
-            return 0
+    def schema(self, schema: Schema) -> int:
+        """Declare a schema, which a channel may name; returns its id.
+
+        Raises
+        ------
+        ExportError
+            If there are more schemas than one file can hold.
+        """
         if schema not in self._schemas:
             if len(self._schemas) >= _MOST_IDS:
                 raise ExportError(f"more than {_MOST_IDS} schemas: one MCAP file cannot hold them")
@@ -106,6 +115,12 @@ class LogCopy:
         """Copy a metadata record."""
         self._writer.add_metadata(record.name, record.metadata)
         self.metadata += 1
+
+    def private_record(self, opcode: int, data: bytes) -> None:
+        """Copy a private record, which stands outside of chunks."""
+        # The writer holds back a chunk in progress, and asks the stream where it is.
+        self._stream.write(_HEAD.pack(opcode, len(data)) + data)
+        self.private += 1
 
     def finish(self) -> None:
         """Write the indexes, the statistics and the end."""

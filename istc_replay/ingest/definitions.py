@@ -18,6 +18,7 @@ class Definitions:
     def __init__(self, problems: Problems, summary: Summary, file_size: int) -> None:
         self.channels: dict[int, Channel] = dict(summary.channels)
         self._schemas: dict[int, Schema] = dict(summary.schemas)
+        self.schemas: dict[Schema, None] = dict.fromkeys(summary.schemas.values())
         self._declared: set[tuple[int, int]] = set()
         self._problems = problems
         self._held = 0
@@ -63,6 +64,7 @@ class Definitions:
                 "schema_conflict", f"schema {schema_id} is declared twice, differently", offset
             )
         self._schemas[schema_id] = schema
+        self.schemas[schema] = None
         self._declared.add((Opcode.SCHEMA, schema_id))
         return new
 

@@ -1,6 +1,8 @@
-"""The records of a file that are no messages: attachments, metadata, statistics, checksums."""
+"""The records of a file that are no messages: attachments, metadata, statistics, checksums, private ones."""
 
 from __future__ import annotations
+
+from collections.abc import Callable
 
 from istc_replay.ingest.problems import Problems, quoted
 from istc_replay.ingest.records import (
@@ -24,12 +26,17 @@ _HELD_RECORDS = 10_000
 _SKIPPED = frozenset(Opcode) - {Opcode.FOOTER}
 
 
+#: Takes a private record: its opcode and its content.
+TakePrivate = Callable[[int, bytes], None]
+
+
 class Extras:
     """What a walk met beside messages; see the attributes of LogFile."""
 
-    def __init__(self, buffer: Buffer, problems: Problems) -> None:
+    def __init__(self, buffer: Buffer, problems: Problems, private: TakePrivate | None) -> None:
         self._buffer, self._problems = buffer, problems
-        self.attachment_count = self.metadata_count = 0
+        self._take = private
+        self.attachment_count = self.metadata_count = self.private_count = 0
         self.attachments: list[Attachment] = []
         self.metadata: list[Metadata] = []
         self.data_over = False
@@ -52,10 +59,18 @@ class Extras:
                 self._statistics[self._begin] = parse_statistics(fields)
             elif opcode == Opcode.DATA_END:
                 self._data_end(fields.uint(4), offset)
-            elif opcode < PRIVATE and opcode not in _SKIPPED:
+            elif opcode >= PRIVATE:
+                self.private(opcode, fields)
+            elif opcode not in _SKIPPED:
                 self._problems.add("unknown_record", f"a record of kind {opcode} is not read", offset)
         except MalformedRecordError as error:
             self._problems.lose("record_damaged", f"a record of kind {opcode}: {error}", offset)
+
+    def private(self, opcode: int, fields: Fields) -> None:
+        """Hand on a private record, which only its writer can read."""
+        self.private_count += 1
+        if self._take is not None:
+            self._take(opcode, bytes(fields.buffer[fields.position : fields.end]))
 
     def compare(self, messages: int, chunks: int) -> None:
         """Compare what was met with what the summary states."""

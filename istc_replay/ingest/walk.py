@@ -19,13 +19,14 @@ from istc_replay.errors import LogError
 from istc_replay.ingest.batches import Batch, Ints, heads, rows
 from istc_replay.ingest.chunk import chunk_records, indexed_positions
 from istc_replay.ingest.definitions import Definitions
-from istc_replay.ingest.extras import Extras
+from istc_replay.ingest.extras import Extras, TakePrivate
 from istc_replay.ingest.inflate import CHUNK_LIMIT, InflateError, Inflater
 from istc_replay.ingest.problems import Problems
 from istc_replay.ingest.records import (
     FOOTER,
     MAGIC,
     MESSAGE,
+    PRIVATE,
     RECORD,
     Attachment,
     Buffer,
@@ -35,6 +36,7 @@ from istc_replay.ingest.records import (
     Message,
     Metadata,
     Opcode,
+    Schema,
     parse_chunk,
     profile_of,
 )
@@ -88,11 +90,12 @@ class LogFile:
             raise LogError(f"{name}: not an MCAP log: {other_format(buffer[:32])}")
         self._reset()
 
-    def _reset(self, wants: Wanted | None = None) -> None:
+    def _reset(self, wants: Wanted | None = None, private: TakePrivate | None = None) -> None:
         self.position = self.chunk_count = self._odd = 0
         self._problems = Problems()
         self._tally = Tally(self._problems, wants)
-        self._extras = Extras(self._buffer, self._problems)
+        self._extras = Extras(self._buffer, self._problems, private)
+        self._schemas: dict[Schema, None] = {}
         self._summary = Summary()
         self._inflater = Inflater(self.size, self._problems)
         self._definitions = Definitions(self._problems, self._summary, self.size)
@@ -138,6 +141,16 @@ class LogFile:
         return self._extras.metadata_count
 
     @property
+    def private_count(self) -> int:
+        """Private records met (opcodes from 0x80)."""
+        return self._extras.private_count
+
+    @property
+    def schemas(self) -> list[Schema]:
+        """Every schema met, whether or not a channel names it."""
+        return list(self._schemas)
+
+    @property
     def attachments(self) -> list[Attachment]:
         """The first 10 000 attachments; `attachment_data` reads one."""
         return self._extras.attachments
@@ -165,25 +178,27 @@ class LogFile:
         """Read the data of one of the attachments."""
         return self._buffer[attachment.start : attachment.start + attachment.size]
 
-    def messages(self, wanted: Wanted | None = None) -> Iterator[Message]:
+    def messages(self, wanted: Wanted | None = None, private: TakePrivate | None = None) -> Iterator[Message]:
         """Walk as `batches` does, and give the messages one by one."""
-        for batch in self.batches(wanted):
+        for batch in self.batches(wanted, private):
             yield from batch.messages()
 
-    def batches(self, wanted: Wanted | None = None) -> Iterator[Batch]:
+    def batches(self, wanted: Wanted | None = None, private: TakePrivate | None = None) -> Iterator[Batch]:
         """Walk the file from its start and give the messages in file order, by the chunk.
 
         Parameters
         ----------
         wanted : callable, optional
             Which channels' messages to give, asked once a channel; all without it.
+        private : callable, optional
+            Handed the private records on the way, opcode and content.
 
         Yields
         ------
         Batch
             The messages whose records, and chunk, are whole.
         """
-        self._reset(wanted)
+        self._reset(wanted, private)
         self._read_summary()
         if self._buffer[: len(MAGIC)] != MAGIC:
             self._problems.add(
@@ -193,6 +208,7 @@ class LogFile:
         while begin is not None:
             begin = yield from self._segment(begin)
             self._tally.declared(self._definitions.channels)
+            self._schemas |= dict.fromkeys(self._definitions.schemas)
             # A file joined to the end of another has its own channels.
             self._definitions = Definitions(self._problems, Summary(), self.size)
         self._extras.compare(self.message_count, self.chunk_count)
@@ -313,6 +329,8 @@ class LogFile:
                 else:
                     detail = f"record kind {opcode} inside a chunk is not read"
                     self._problems.add("unexpected_record", detail, offset)
+                    if opcode >= PRIVATE:
+                        self._extras.private(opcode, Fields(data, *places))
         except MalformedRecordError as error:
             self._problems.lose("chunk_damaged", f"{error}; the rest of the chunk is left out", offset)
 

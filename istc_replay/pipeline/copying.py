@@ -26,6 +26,7 @@ class Copied:
     channels: int
     attachments: int
     metadata: int
+    private: int  # records that only their writer can read
     complete: bool  # nothing of the inputs was lost
     problems: tuple[tuple[str, Problem], ...]  # by input
     notes: tuple[str, ...] = ()
@@ -67,12 +68,13 @@ def write_copy(
     profile : str
         What the header states.
     fill : callable
-        Copies the messages; returns notes. Attachments and metadata follow by themselves.
+        Copies the messages; returns notes. Attachments and metadata follow by themselves; private
+        records that it has not copied are noted.
     """
     with atomic_file(out) as temporary:
         with temporary.open("wb") as stream:
             copy = LogCopy(stream, profile)
-            notes = fill(copy)
+            notes = [*fill(copy)]
             for log in logs:
                 for attachment in log.attachments:
                     copy.attachment(attachment, log.attachment_data(attachment))
@@ -80,12 +82,16 @@ def write_copy(
                     copy.metadata_record(record)
             copy.finish()
         _read_back(temporary, out, copy)
+    left_out = sum(log.private_count for log in logs) - copy.private
+    if left_out:
+        notes.append(f"private records (opcodes from 0x80) are not copied: {left_out}")
     return Copied(
         out,
         copy.messages,
         copy.channels,
         copy.attachments,
         copy.metadata,
+        copy.private,
         all(log.complete for log in logs),
         tuple((log.name, problem) for log in logs for problem in log.problems),
         tuple(notes),
@@ -96,6 +102,11 @@ def _read_back(temporary: Path, out: Path, copy: LogCopy) -> None:
     written = open_log(temporary)
     for _ in written.batches(nothing):
         pass
-    found = (written.message_count, written.attachment_count, written.metadata_count)
-    if found != (copy.messages, copy.attachments, copy.metadata) or written.problems:
+    found = (
+        written.message_count,
+        written.attachment_count,
+        written.metadata_count,
+        written.private_count,
+    )
+    if found != (copy.messages, copy.attachments, copy.metadata, copy.private) or written.problems:
         raise ExportError(f"{out}: what was written does not read back whole; check the disk")

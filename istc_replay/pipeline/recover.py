@@ -27,12 +27,14 @@ def recover_log(source: Path, out: Path, progress: Progress = silent) -> Copied:
     log = open_log(source)
 
     def fill(copy: LogCopy) -> Sequence[str]:
-        for message in log.messages():
+        for message in log.messages(private=copy.private_record):
             copy.message(0, message)
             progress(log.position, log.size)
         for channel in log.counts:
             copy.declare(0, channel)
-        if not (log.complete or log.message_count or log.attachments or log.metadata):
+        for schema in log.schemas:
+            copy.schema(schema)
+        if not (log.complete or log.message_count or log.attachments or log.metadata or log.private_count):
             why = log.problems[0].detail
             raise LogError(f"{source}: nothing in it is intact, so nothing is written: {why}")
         return ()

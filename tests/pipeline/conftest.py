@@ -6,6 +6,7 @@ import io
 import json
 import os
 import shutil
+import struct
 import subprocess
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -113,6 +114,24 @@ def full_log() -> Callable[..., bytes]:
         return stream.getvalue()
 
     return make
+
+
+@pytest.fixture(scope="session")
+def private_log() -> bytes:
+    """A log with private records, one of them in a chunk, and a schema that no channel names."""
+    stream = io.BytesIO()
+    writer = Writer(stream, compression=CompressionType.NONE)
+    writer.start(profile="ros2")
+    writer.register_schema("pkg/Unused", "ros2msg", DEFINITION)
+    channel = writer.register_channel("/plain", "json", 0)
+    for k in range(3):
+        stream.write(struct.pack("<BQ", 0x80 + k, 4) + b"own%d" % k)
+        writer.add_message(channel, T0_NS + k, b"{}", T0_NS)
+        writer.add_attachment(0, 0, f"{k}.txt", "text/plain", b"")
+    data = struct.pack("<BQ", 0xFF, 5) + b"inner"
+    stream.write(struct.pack("<BQQQQIIQ", 0x06, 40 + len(data), 0, 0, len(data), 0, 0, len(data)) + data)
+    writer.finish()
+    return stream.getvalue()
 
 
 def _by_mcap(path: Path) -> list[Row]:

@@ -133,3 +133,11 @@ def test_what_stands_is_known_by_its_topic_publisher_or_schema(
 ) -> None:
     channel = Channel(1, topic, "cdr", metadata, Schema(schema, "", b"") if schema else None)
     assert is_standing(channel) is standing
+
+
+def test_private_records_are_left_out_and_told(private_log: bytes, tmp_path: Path) -> None:
+    source = tmp_path / "private.mcap"
+    source.write_bytes(private_log)
+    copied = clip_log(source, tmp_path / "out.mcap", Between(f"{T0_NS + 1}ns", None), Config())
+    assert (copied.messages, copied.attachments, copied.private) == (2, 3, 0)
+    assert copied.notes[-1] == "private records (opcodes from 0x80) are not copied: 4"

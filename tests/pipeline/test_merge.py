@@ -111,3 +111,11 @@ def test_inputs_that_cannot_be_meant_are_refused(logs: list[Path]) -> None:
         with pytest.raises(UsageError, match=why):
             merge_logs(sources, out)
     assert logs[0].read_bytes() == before
+
+
+def test_private_records_are_left_out_and_told(private_log: bytes, logs: list[Path], tmp_path: Path) -> None:
+    source = tmp_path / "private.mcap"
+    source.write_bytes(private_log)
+    copied = merge_logs([source, logs[0]], tmp_path / "out.mcap")
+    assert (copied.messages, copied.private) == (65, 0)
+    assert copied.notes[-1] == "private records (opcodes from 0x80) are not copied: 4"

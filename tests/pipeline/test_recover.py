@@ -114,3 +114,28 @@ def test_the_same_log_gives_the_same_bytes(tmp_path: Path, full_log: Any) -> Non
     recover_log(source, first)
     recover_log(source, second)
     assert first.read_bytes() == second.read_bytes()
+
+
+def private_records(path: Path) -> list[tuple[int, bytes]]:
+    found: list[tuple[int, bytes]] = []
+    for _ in open_log(path).messages(private=lambda opcode, data: found.append((opcode, data))):
+        pass
+    return found
+
+
+def test_private_records_and_schemas_of_no_channel_are_kept(
+    private_log: bytes, foreign_reader: Any, tmp_path: Path
+) -> None:
+    source, out, again = tmp_path / "in.mcap", tmp_path / "out.mcap", tmp_path / "again.mcap"
+    source.write_bytes(private_log)
+    copied = recover_log(source, out)
+    records = [(0x80, b"own0"), (0x81, b"own1"), (0x82, b"own2"), (0xFF, b"inner")]
+    assert private_records(out) == private_records(source) == records
+    assert (copied.private, copied.notes) == (4, ())
+    assert len(foreign_reader(out)) == 3
+    with out.open("rb") as stream:
+        summary = make_reader(stream).get_summary()
+        assert summary is not None
+        assert [schema.name for schema in summary.schemas.values()] == ["pkg/Unused"]
+    assert (recover_log(out, again).problems, recover_log(out, again).complete) == ((), True)
+    assert private_records(again) == records
