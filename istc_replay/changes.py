@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from istc_replay.apart import lateral_excursion_m
 from istc_replay.bicycle import dense_motion
 from istc_replay.datatypes import Change, FloatArray, Guidance, Trajectory, Window
-from istc_replay.field import lateral_excursion_m
 from istc_replay.geometry import shift_along
 from istc_replay.guidance.path import Path
 from istc_replay.safety.boxes import box_gap

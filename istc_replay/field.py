@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
+from istc_replay.apart import apart_m, least_clearance_m, overlap_text, recorded_boxes
 from istc_replay.datatypes import (
     Exclusion,
     FloatArray,
@@ -19,15 +20,13 @@ from istc_replay.datatypes import (
     Scenario,
     SolveRecord,
     StartState,
-    Trajectory,
     Window,
     read_only,
 )
-from istc_replay.geometry import box_corners, shift_along
 from istc_replay.guidance.build import recorded_guidance
 from istc_replay.guidance.path import Path
 from istc_replay.road_frame import heading_slack
-from istc_replay.tracks import swept_boxes, tightest_radius_m
+from istc_replay.tracks import tightest_radius_m
 from istc_replay.trajectories.repair import recorded_poses
 
 if TYPE_CHECKING:
@@ -48,8 +47,6 @@ _LEAST_GAP_M = 0.06
 _NEAR_SHARE, _NEAR_LEAST_RAD = 0.8, float(np.radians(1.5))
 #: A car that has no room is held this near to its heading, while it is nearer than this to the other.
 _STRAIGHT_RAD, _NARROW_M = float(np.radians(0.2)), 1.0
-#: A path goes straight on for this long before its start and after its end [m].
-_BEYOND_M = 1e3
 
 
 @dataclass(slots=True)
@@ -90,7 +87,7 @@ class Field:
         boxes = {o.obstacle_id: o.boxes_m for o in self.scenario.obstacles}
         rows = {p.vehicle_id: row for row, p in enumerate(self.scenario.participants)}
         for participant, guide in zip(self.scenario.participants, self.guidance, strict=True):
-            own = _recorded_boxes(participant, guide.times_s, guide.poses, self.scenario)
+            own = recorded_boxes(participant, guide.times_s, guide.poses, self.scenario)
             within = boxes.get(participant.vehicle_id, own)
             boxes[participant.vehicle_id] = np.where(np.isnan(own), within, own)
         changed, guidance = False, list(self.guidance)
@@ -250,10 +247,10 @@ def _narrowed(
         end = min(first.first_unit + first.units, second.first_unit + second.units)
         if end <= begin:
             continue
-        apart = _apart(first, guidance[a], second, guidance[b], begin, end)
+        apart = apart_m(first, guidance[a], second, guidance[b], begin, end)
         if apart[0] < 0.0:
             for name, other in ((first, second), (second, first)):
-                overlaps[name.vehicle_id] = ("overlap_at_start", _overlap_text(name, other, -apart[0]))
+                overlaps[name.vehicle_id] = ("overlap_at_start", overlap_text(name, other, -apart[0]))
             continue
         least = min(least, float(apart.min()))
         per_unit = (len(apart) - 1) // (end - begin)
@@ -265,102 +262,18 @@ def _narrowed(
         room = _NEAR_SHARE * (near[row] - gap) / participant.dimensions.length_m
         slack[row] = np.minimum(slack[row], np.maximum(room, _NEAR_LEAST_RAD))
     narrow = tuple(replace(g, slack_rad=read_only(s)) for g, s in zip(guidance, slack, strict=True))
-    clear = _least_clearance(scenario, guidance)
+    clear = least_clearance_m(scenario, guidance)
     return Field(scenario, narrow, gap, _lowered(config.corridors.obstacle_gap_m, clear), records, overlaps)
-
-
-def _overlap_text(own: Participant, other: Participant, at_start_m: float) -> str:
-    """How a vehicle is recorded within another that it overlaps where both are first there."""
-    times = own.recording.times_s
-    last = min(times[-1], other.recording.times_s[-1])
-    at = times[(times >= max(times[0], other.recording.times_s[0])) & (times <= last)]
-    poses = [recorded_poses(participant, at) for participant in (own, other)]
-    corners = [
-        box_corners(
-            pose[:, 0],
-            pose[:, 1],
-            pose[:, 2],
-            participant.dimensions.length_m,
-            participant.dimensions.width_m,
-        )
-        for pose, participant in zip(poses, (own, other), strict=True)
-    ]
-    apart = _separation(corners[0], corners[1], [pose[:, 2] for pose in poses])
-    worst = int(np.argmin(apart))
-    if apart[worst] < 0.0:
-        return f"recorded {-apart[worst]:.2f} m within {other.vehicle_id} at {at[worst]:.2f} s"
-    return f"{at_start_m:.2f} m within {other.vehicle_id} where drivable motions near both recordings start"
 
 
 def _lowered(gap_m: float, recorded_m: float) -> float:
     return float(np.clip(recorded_m - _BELOW_RECORDED_M, 0.0, gap_m))
 
 
-def _apart(
-    first: Participant,
-    guide: Guidance,
-    second: Participant,
-    other: Guidance,
-    begin: int,
-    end: int,
-) -> FloatArray:
-    """Distance of two cars' boxes along their axes (M,) [m] from unit `begin` to `end`; negative: overlap."""
-
-    def part(participant: Participant, guidance: Guidance) -> FloatArray:
-        per_unit = (len(guidance.poses) - 1) // participant.units
-        offset = participant.first_unit
-        return guidance.poses[(begin - offset) * per_unit : (end - offset) * per_unit + 1]
-
-    poses = part(first, guide), part(second, other)
-    sizes = first.dimensions, second.dimensions
-    centres = np.hypot(*(poses[0][:, :2] - poses[1][:, :2]).T)
-    reach = sum(np.hypot(size.length_m, size.width_m) / 2.0 for size in sizes)
-    apart = np.asarray(centres - reach)
-    close = np.flatnonzero(apart < 1.0)
-    if close.size:
-        corners = [
-            box_corners(pose[close, 0], pose[close, 1], pose[close, 2], size.length_m, size.width_m)
-            for pose, size in zip(poses, sizes, strict=True)
-        ]
-        apart[close] = _separation(corners[0], corners[1], [pose[close, 2] for pose in poses])
-    return apart
-
-
-def _separation(first: FloatArray, second: FloatArray, headings_rad: Sequence[FloatArray]) -> FloatArray:
-    """Largest distance (M,) of corners (M, 4, 2) along the axes of either box."""
-    best = np.full(len(first), -np.inf)
-    for heading in headings_rad:
-        for angle in (heading, heading + np.pi / 2):
-            axis = np.stack([np.cos(angle), np.sin(angle)], axis=-1)[:, None, :]
-            a, b = (first * axis).sum(axis=-1), (second * axis).sum(axis=-1)
-            gap = np.maximum(a.min(axis=1) - b.max(axis=1), b.min(axis=1) - a.max(axis=1))
-            best = np.maximum(best, gap)
-    return best
-
-
-def _least_clearance(scenario: Scenario, guidance: Sequence[Guidance]) -> float:
-    """Least distance that guidance keeps from the boxes of obstacles, those that it touches left out."""
-    least = np.inf
-    for participant, guide in zip(scenario.participants, guidance, strict=True):
-        own = _recorded_boxes(participant, guide.times_s, guide.poses, scenario)
-        for obstacle in scenario.obstacles:
-            box = obstacle.boxes_m
-            apart = np.maximum(own[:, 0::2] - box[:, 1::2], box[:, 0::2] - own[:, 1::2]).max(axis=1)
-            least = min(least, float(np.min(apart, where=apart >= 0.0, initial=np.inf)))
-    return least
-
-
-def _recorded_boxes(
-    participant: Participant, times_s: FloatArray, poses: FloatArray, scenario: Scenario
-) -> FloatArray:
-    size = participant.dimensions
-    return swept_boxes(times_s, poses, (size.length_m, size.width_m), scenario.window)
-
-
 def _without(scenario: Scenario, dropped: Sequence[Participant]) -> Scenario:
     """Turn participants into obstacles that move as recorded."""
     boxes = {
-        p.vehicle_id: _recorded_boxes(p, p.recording.times_s, p.recording.poses, scenario) for p in dropped
+        p.vehicle_id: recorded_boxes(p, p.recording.times_s, p.recording.poses, scenario) for p in dropped
     }
     standing = {o.obstacle_id: o for o in scenario.obstacles}
     for name, swept in boxes.items():
@@ -393,18 +306,3 @@ def least_cover(pairs: Sequence[tuple[str, ...]], participants: Sequence[Partici
         chosen.append(pick)
         left = [pair for pair in left if pick not in pair]
     return tuple(chosen)
-
-
-def lateral_excursion_m(trajectory: Trajectory, guidance: Guidance) -> float:
-    """How far sideways a plan leaves the path of its guidance [m]; before and after it, the path goes on."""
-    x, y, heading = trajectory.states[:, :3].T
-    centres = shift_along(x, y, heading, trajectory.dimensions.rear_axle_to_centre_m)
-    poses = guidance.poses
-    moved = np.concatenate([[True], np.hypot(*np.diff(poses[:, :2], axis=0).T) > 1e-3])
-    poses = poses[moved]
-    ends = np.array([[np.cos(h), np.sin(h)] for h in (poses[0, 2], poses[-1, 2])]) * _BEYOND_M
-    path = np.vstack([poses[0, :2] - ends[0], poses[:, :2], poses[-1, :2] + ends[1]])
-    step = np.diff(path, axis=0)  # (P, 2)
-    offset = centres[:, None, :] - path[:-1]
-    share = np.clip((offset * step).sum(-1) / (step**2).sum(-1), 0.0, 1.0)
-    return float(np.hypot(*np.moveaxis(offset - share[..., None] * step, -1, 0)).min(axis=1).max())

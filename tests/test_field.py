@@ -9,10 +9,11 @@ import numpy as np
 import polars as pl
 import pytest
 
+from istc_replay.apart import lateral_excursion_m
 from istc_replay.config import Config, parse_config
 from istc_replay.coordinate import Planners, plan_part, plan_window
 from istc_replay.datatypes import Log, StaticScene, Trajectory, WindowPlan, WindowStatus
-from istc_replay.field import Repairs, lateral_excursion_m, least_cover, prepare
+from istc_replay.field import Repairs, least_cover, prepare
 from istc_replay.pipeline.replay import Replay, replay_read
 from istc_replay.road_frame import Body, conflicts, heading_slack, road_yaw
 from istc_replay.scenario import build_scenario, build_scenarios
