@@ -11,6 +11,7 @@ import numpy as np
 
 from istc_replay.datatypes import Dimensions, FloatArray, MapBounds, SceneObstacle
 from istc_replay.geometry import shift_along
+from istc_replay.guidance.separation import axis_gaps, axis_slopes
 
 _ROUNDING_M = 1e-9
 _FEW = 8  # obstacles that are looked at one by one
@@ -92,6 +93,70 @@ class Clearance:
         centres = self._centres(poses)
         cars, boxes = np.indices((len(poses), len(self.obstacles))).reshape(2, -1)
         return self._pair_gaps(centres, poses[:, 2], cars, boxes).reshape(len(poses), len(self.obstacles))
+
+    def near_gaps(self, poses: FloatArray, within_m: float) -> tuple[np.ndarray, FloatArray, FloatArray]:
+        """Gaps beyond the margins that are less than `within_m`, and their slopes by the pose.
+
+        Returns
+        -------
+        tuple
+            (N,) pose by index; (N,) room beyond the margin, or to an edge of the bounds [m]; (N, 3) slopes
+            by x, y and heading of the rear axle.
+        """
+        parts = [self._near_edges(poses, within_m)]
+        if len(self.obstacles):
+            parts.append(self._near_obstacles(poses, within_m))
+        who, gaps, slopes = (np.concatenate(part) for part in zip(*parts, strict=True))
+        return who, gaps, slopes
+
+    def _near_obstacles(
+        self, poses: FloatArray, within_m: float
+    ) -> tuple[np.ndarray, FloatArray, FloatArray]:
+        centres = self._centres(poses)
+        dx, dy = (centres[:, None, axis] - self.obstacles[None, :, axis] for axis in (0, 1))  # (P, O)
+        cars, boxes = np.nonzero(dx * dx + dy * dy < (self._reach_m + within_m) ** 2)
+        x, y, angles, sizes = self._relative(centres, poses[:, 2], cars, boxes)
+        by_axis = axis_gaps(x, y, angles, sizes)  # (4, T, N)
+        gaps = by_axis.max(axis=0)
+        turn = gaps.argmin(axis=0)
+        pairs = np.arange(len(cars))
+        gap = gaps[turn, pairs] - self.margins_m[boxes]
+        near = np.flatnonzero(gap < within_m)
+        turn, cars, boxes = turn[near], cars[near], boxes[near]
+        by_x, by_y, by_angle = axis_slopes(
+            by_axis[:, turn, near].argmax(axis=0), x[near], y[near], angles[turn, near], sizes[:, near]
+        )
+        heading, own = self.obstacles[boxes, 2], poses[cars, 2]
+        co, so = np.cos(heading), np.sin(heading)
+        # The car moves against the obstacle.
+        east, north = by_y * so - by_x * co, -by_x * so - by_y * co
+        ahead = self.car.rear_axle_to_centre_m
+        by_heading = by_angle + ahead * (north * np.cos(own) - east * np.sin(own))
+        return cars, gap[near], np.column_stack([east, north, by_heading])
+
+    def _near_edges(self, poses: FloatArray, within_m: float) -> tuple[np.ndarray, FloatArray, FloatArray]:
+        bounds, ahead = self.bounds, self.car.rear_axle_to_centre_m
+        a, b = self.car.length_m / 2.0, self.car.width_m / 2.0
+        x, y = self._centres(poses).T
+        c, s = np.cos(poses[:, 2]), np.sin(poses[:, 2])
+        reach_x, reach_y = a * np.abs(c) + b * np.abs(s), a * np.abs(s) + b * np.abs(c)
+        gaps = np.stack(
+            [
+                x - bounds.x_min_m - reach_x,
+                bounds.x_max_m - x - reach_x,
+                y - bounds.y_min_m - reach_y,
+                bounds.y_max_m - y - reach_y,
+            ]
+        )
+        edge, who = np.nonzero(gaps < within_m)
+        c, s = c[who], s[who]
+        along, across = -np.sign(c) * s, np.sign(s) * c
+        sign = np.where(edge % 2 == 0, 1.0, -1.0)
+        is_x = edge < 2
+        turning = np.where(
+            is_x, -sign * ahead * s - a * along - b * across, sign * ahead * c - a * across - b * along
+        )
+        return who, gaps[edge, who], np.column_stack([sign * is_x, sign * ~is_x, turning])
 
     def rooms(self, poses: FloatArray) -> FloatArray:
         """Least distances (P,) from the box at rear-axle poses (P, 3) to the bounds, negative beyond [m]."""
@@ -193,31 +258,21 @@ class Clearance:
         return shift_along(poses[:, 0], poses[:, 1], poses[:, 2], self.car.rear_axle_to_centre_m)
 
     def _pair_gaps(
-        self,
-        centres: FloatArray,
-        headings: FloatArray,
-        cars: np.ndarray,
-        boxes: np.ndarray,
+        self, centres: FloatArray, headings: FloatArray, cars: np.ndarray, boxes: np.ndarray
     ) -> FloatArray:
         """Gaps of pairs (N,): car pose by index, obstacle by index; the least over the heading slack."""
+        gaps = axis_gaps(*self._relative(centres, headings, cars, boxes))
+        return np.asarray(gaps.max(axis=0).min(axis=0))
+
+    def _relative(
+        self, centres: FloatArray, headings: FloatArray, cars: np.ndarray, boxes: np.ndarray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """What `axis_gaps` takes of pairs (N,): obstacles from cars (N,), headings (T, N), sizes (4, N)."""
+        x, y, heading, p, q = self.obstacles[boxes].T
+        co, so = np.cos(heading), np.sin(heading)
+        dx, dy = x - centres[cars, 0], y - centres[cars, 1]
+        slack = self.slacks_rad[boxes]
+        turns = np.stack([-slack, np.zeros_like(slack), slack]) if slack.any() else np.zeros((1, len(cars)))
         a, b = self.car.length_m / 2.0, self.car.width_m / 2.0
-        p, q = self.obstacles[boxes, 3], self.obstacles[boxes, 4]
-        dx, dy = (self.obstacles[boxes, axis] - centres[cars, axis] for axis in (0, 1))
-        turned, slack = self.obstacles[boxes, 2], self.slacks_rad[boxes]
-        co, so = np.cos(turned), np.sin(turned)
-        along_box, across_box = np.abs(dx * co + dy * so) - p, np.abs(dy * co - dx * so) - q
-        least = np.full(len(cars), np.inf)
-        turns = (-1.0, 0.0, 1.0) if slack.any() else (0.0,)
-        for turn in turns:
-            heading = headings[cars] + turn * slack
-            ch, sh = np.cos(heading), np.sin(heading)
-            c, s = np.abs(ch * co + sh * so), np.abs(sh * co - ch * so)
-            gap = np.maximum(
-                np.maximum(
-                    np.abs(dx * ch + dy * sh) - a - (p * c + q * s),
-                    np.abs(dy * ch - dx * sh) - b - (p * s + q * c),
-                ),
-                np.maximum(along_box - (a * c + b * s), across_box - (a * s + b * c)),
-            )
-            least = np.minimum(least, gap)
-        return least
+        sizes = np.stack([np.full(len(cars), a), np.full(len(cars), b), p, q])
+        return dx * co + dy * so, dy * co - dx * so, headings[cars] - heading + turns, sizes

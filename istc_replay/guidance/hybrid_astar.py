@@ -10,6 +10,7 @@ import numpy as np
 
 from istc_replay.datatypes import FloatArray
 from istc_replay.geometry import shift_along
+from istc_replay.guidance.clearance import Clearance
 from istc_replay.guidance.curves import arc_poses
 from istc_replay.guidance.dubins import word_lengths
 from istc_replay.guidance.grid import DistanceGrid
@@ -25,7 +26,6 @@ _CELL_RAD = 0.1
 _GOOD_ENOUGH_M = 0.3
 #: Nodes expanded after the first path, for a better way round.
 _NODES_AFTER = 100
-_NODES_AMID_TRAFFIC = 800  # the way round may be another opening
 _HASTE = 1.05
 _WORDS_TRIED = 1
 _WAY_OUT_STEPS = 6
@@ -38,7 +38,6 @@ class _Tree:
     poses: list[FloatArray]
     costs_m: list[float]
     parents: list[int]
-    depths: list[int]
     cells: list[tuple[int, int, int]]
     least_m: dict[tuple[int, int, int], float] = field(default_factory=dict)
 
@@ -65,10 +64,10 @@ def search(
 ) -> Found:
     """Search for a free path from start to goal, poses (3,) of the rear axle.
 
-    Nodes are expanded eight at a time by steps of 1.2 m at five curvatures, those first whose cost
+    Nodes are expanded sixteen at a time by steps of 1.2 m at five curvatures, those first whose cost
     and lower bound of what is left (the larger of Dubins' and the grid's) are least.
     """
-    tree = _Tree([start], [0.0], [-1], [0], [(0, 0, 0)], {(0, 0, 0): 0.0})
+    tree = _Tree([start], [0.0], [-1], [(0, 0, 0)], {(0, 0, 0): 0.0})
     best, best_node, nodes, stop_at = limit_m, -1, 0, budget
     queue = [(float(_bounds(start[None, :], goal, space, grid)[0]), 0)]
     while queue and nodes < stop_at:
@@ -80,13 +79,13 @@ def search(
         costs = _shots(tree, batch, goal, space, best)
         if costs.min() < best:
             best, best_node = float(costs.min()), batch[int(np.argmin(costs))]
-            stop_at = min(stop_at, nodes + (_NODES_AFTER if space.traffic is None else _NODES_AMID_TRAFFIC))
+            stop_at = min(stop_at, nodes + _NODES_AFTER)
         _expand(tree, batch, goal, space, grid, queue, best, start)
     poses = tree.chain(best_node) if best_node >= 0 else None
     return Found(poses, nodes, not queue)
 
 
-def is_dead_end(pose: FloatArray, space: Space, *, arriving: bool) -> bool:
+def is_dead_end(pose: FloatArray, radius_m: float, clearance: Clearance, *, arriving: bool) -> bool:
     """Whether no free motion of some metres leads out of a pose (3,), or into it where arriving."""
     # Into a pose leads what leads out of it backwards: with the heading turned about.
     about = math.pi if arriving else 0.0
@@ -94,9 +93,9 @@ def is_dead_end(pose: FloatArray, space: Space, *, arriving: bool) -> bool:
     s = np.arange(1, _CHECKS + 1) * (_STEP_M / _CHECKS)
     for _ in range(_WAY_OUT_STEPS):
         roots = np.repeat(front, len(_CURVATURES), axis=0)
-        bends = np.tile(_CURVATURES / space.radius_m, len(front))[:, None]
+        bends = np.tile(_CURVATURES / radius_m, len(front))[:, None]
         poses = arc_poses(roots, np.full((len(roots), 1), _STEP_M), bends, np.tile(s, (len(roots), 1)))
-        free = space.clearance.free(poses - (0.0, 0.0, about)).all(axis=1)
+        free = clearance.free(poses - (0.0, 0.0, about)).all(axis=1)
         front = poses[free, -1]
         if not len(front):
             return True
@@ -118,9 +117,8 @@ def _next(queue: list[tuple[float, int]], tree: _Tree, limit: float) -> list[int
 def _shots(tree: _Tree, batch: list[int], goal: FloatArray, space: Space, best: float) -> FloatArray:
     """Costs (B,) of reaching the goal from each node by its shortest word, infinite if that is not free."""
     costs = np.array([tree.costs_m[node] for node in batch])
-    driven = np.array([tree.depths[node] for node in batch]) * _STEP_M
     poses = np.array([tree.poses[node] for node in batch])
-    links = space.link(poses, np.tile(goal, (len(batch), 1)), driven, best - costs, _WORDS_TRIED)
+    links = space.link(poses, np.tile(goal, (len(batch), 1)), best - costs, _WORDS_TRIED)
     return np.asarray(costs + links.costs_m)
 
 
@@ -140,9 +138,7 @@ def _expand(
     s = np.tile(np.arange(1, _CHECKS + 1) * (_STEP_M / _CHECKS), (len(roots), 1))
     poses = arc_poses(roots, np.full((len(roots), 1), _STEP_M), bends, s)  # (N, checks, 3)
     parents = np.repeat(batch, len(_CURVATURES))
-    driven = np.array([tree.depths[node] for node in parents])[:, None] * _STEP_M + s
     costs = np.array([tree.costs_m[node] for node in parents]) + _STEP_M
-    costs = costs + space.cost(poses, driven, _STEP_M / _CHECKS)
     keep = np.flatnonzero(space.clearance.free(poses).all(axis=1))
     ends = poses[keep, -1]
     left = _bounds(ends, goal, space, grid)
@@ -154,7 +150,6 @@ def _expand(
             tree.poses.append(pose)
             tree.costs_m.append(cost)
             tree.parents.append(int(parents[index]))
-            tree.depths.append(tree.depths[parents[index]] + 1)
             heapq.heappush(queue, (cost + _HASTE * float(rest), len(tree.poses) - 1))
 
 

@@ -1,4 +1,4 @@
-"""Dubins words between poses, past obstacles and other traffic, for many pairs at once."""
+"""Dubins words between poses, past obstacles, for many pairs at once."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ from istc_replay.datatypes import FloatArray
 from istc_replay.guidance.clearance import Clearance
 from istc_replay.guidance.curves import arc_poses
 from istc_replay.guidance.dubins import WORD_CURVATURES, word_lengths
-from istc_replay.guidance.traffic import Traffic
 
 _CHECK_STEP_M = 0.5
 _FIRST_LOOK = np.array([0.1, 0.3, 0.5, 0.7, 0.9, 0.97])
@@ -30,33 +29,22 @@ class Links:
 
 @dataclass(frozen=True, eq=False)
 class Space:
-    """Where one car drives: at one turning radius, clear of obstacles, among other traffic."""
+    """Where one car drives: at one turning radius, clear of obstacles."""
 
     radius_m: float
     clearance: Clearance
-    traffic: Traffic | None = None
 
     def widened(self, by_m: float) -> Space:
         """The same with more room asked for."""
         return replace(self, clearance=self.clearance.widened(by_m))
 
-    def cost(self, poses: FloatArray, driven_m: FloatArray, step_m: float) -> FloatArray:
-        """What traffic adds to paths (N,) sampled at poses (N, S, 3), lengths driven (N, S) [m]."""
-        if self.traffic is None:
-            return np.zeros(len(poses))
-        return np.asarray(self.traffic.density(poses[..., :2], driven_m).sum(axis=1) * step_m)
-
-    def link(
-        self, starts: FloatArray, goals: FloatArray, driven_m: FloatArray, limits_m: FloatArray, tries: int
-    ) -> Links:
+    def link(self, starts: FloatArray, goals: FloatArray, limits_m: FloatArray, tries: int) -> Links:
         """Find the shortest free word of each pair.
 
         Parameters
         ----------
         starts, goals : ndarray
             (N, 3) poses [m, rad].
-        driven_m : ndarray
-            (N,) length driven before, for the time at which traffic is met [m].
         limits_m : ndarray
             (N,) words that are not shorter are not looked at [m].
         tries : int
@@ -83,21 +71,7 @@ class Space:
             s = np.minimum(samples[None, :], length[left, None])
             poses = arc_poses(starts[left], arcs, bends[word[left]], s)
             free = self.clearance.free(poses).all(axis=1)
-            # Samples repeated at the end of a shorter path count for nothing.
-            on_path = samples[None, :] < length[left, None]
-            extra = self._extra(poses, driven_m[left, None] + s, on_path)
-            costs[left[free]] = (length[left] + extra)[free]
+            costs[left[free]] = length[left[free]]
             chosen[left[free]] = word[left[free]]
         lengths = np.where(np.isinf(words[np.arange(count), chosen]), 0.0, words[np.arange(count), chosen])
         return Links(costs, lengths, bends[chosen])
-
-    def _extra(
-        self,
-        poses: FloatArray,
-        driven_m: FloatArray,
-        on_path: np.ndarray[tuple[int, ...], np.dtype[np.bool_]],
-    ) -> FloatArray:
-        if self.traffic is None:
-            return np.zeros(len(poses))
-        density = self.traffic.density(poses[..., :2], driven_m) * on_path
-        return np.asarray(density.sum(axis=1) * _CHECK_STEP_M)

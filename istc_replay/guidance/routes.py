@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -13,34 +13,23 @@ from istc_replay.datatypes import Dimensions, FloatArray, MapBounds, SceneObstac
 from istc_replay.errors import ScenarioError
 from istc_replay.geometry import shift_along
 from istc_replay.guidance.clearance import Clearance
-from istc_replay.guidance.curves import Curve, Pose, arc_poses, smooth_to_goal
+from istc_replay.guidance.curves import Curve, Pose
 from istc_replay.guidance.dubins import word_lengths
 from istc_replay.guidance.grid import DistanceGrid, distances_to
-from istc_replay.guidance.hybrid_astar import is_dead_end, search
-from istc_replay.guidance.links import Space
-from istc_replay.guidance.shorten import arcs_of, shortest_chain
-from istc_replay.guidance.taut import Limits, pull_taut
+from istc_replay.guidance.hybrid_astar import is_dead_end
+from istc_replay.guidance.path_search import along_taut_lines, searched
+from istc_replay.guidance.taut import Limits
 from istc_replay.guidance.traffic import Traffic
 
 if TYPE_CHECKING:
     from istc_replay.config import GuidanceConfig
 
-#: Turning radii tried after the configured one, where it finds no path or only a long one.
-_RADII_M = (5.0, 4.6, 7.0)
-#: A path this much longer than the bound for the least radius is compared with those of other radii.
+#: A path this much longer than the shortest without obstacles is compared with a search's.
 _LONG = 1.2
 #: Change of curvature per metre, times the wheelbase: 0.68 rad/s of steering at 5 m/s.
 _SHARPNESS = 0.135
 #: Where no path is found: the same with sharper steering, and without slack for the heading.
 _EASINGS = (1.0, 4.0)
-#: The search asks for this much more room than the path needs: smoothing takes some.
-_WIDER_M = 0.1
-_DETOURS = 2
-_CHECK_STEP_M = 0.15
-_TOLERANCE_M = 0.01
-_COARSE_STEP_M = 3.0
-_EVERY = 20  # poses of the check, 3 m
-_ASIDE_M = 8.0  # obstacles farther aside of a path are left out
 _STEERING_MAX_RAD = 0.6
 
 
@@ -89,15 +78,23 @@ def find_path(
     )
     _refuse_impossible_ends(ends, clearance, obstacles)
     clearance = clearance.eased_at(ends)
-    grid = _grid(ends, clearance)
     least = car.wheelbase_m / math.tan(_STEERING_MAX_RAD) if least_radius_m is None else least_radius_m
-    _refuse_dead_ends(ends, Space(least, clearance.unslacked()))
-    exhausted = True
+    shortest = float(word_lengths(ends[0], ends[1], least).sum(axis=1).min())
+    grid, exhausted = None, True
     for easing in _EASINGS:
-        eased = clearance if easing == 1.0 else clearance.unslacked()
-        best, ended = _best_path(
-            ends, Space(least, eased, traffic), grid, settings, easing * _SHARPNESS / car.wheelbase_m
+        limits = Limits(
+            1.0 / least,
+            1.0 / max(settings.route_radius_m, least),
+            easing * _SHARPNESS / car.wheelbase_m,
+            clearance if easing == 1.0 else clearance.unslacked(),
         )
+        best = along_taut_lines(ends, limits, traffic)
+        if best is not None and best.length_m <= _LONG * shortest:
+            return best
+        if best is None and grid is None:
+            grid = _grid(ends, clearance)
+            _refuse_dead_ends(ends, least, clearance.unslacked())
+        best, ended = searched(ends, limits, grid, settings.route_node_budget, best)
         if best is not None:
             return best
         exhausted &= ended
@@ -160,88 +157,6 @@ def find_paths(
     return tuple(paths)
 
 
-def _best_path(
-    ends: FloatArray,
-    space: Space,
-    grid: DistanceGrid | None,
-    settings: GuidanceConfig,
-    sharpness_1pm2: float,
-) -> tuple[Curve | None, bool]:
-    """The path at the configured radius, or the shortest at others; whether every search ended."""
-    least = space.radius_m
-    shortest = float(word_lengths(ends[0], ends[1], least).sum(axis=1).min())
-    best: Curve | None = None
-    exhausted = True
-    for radius in _radii(settings.route_radius_m, least):
-        if best is not None and radius > settings.route_radius_m:
-            continue
-        limits = Limits(1.0 / radius, sharpness_1pm2, space.clearance)
-        limit_m = math.inf if best is None else best.length_m
-        curve, ended = _path_at(
-            ends, replace(space, radius_m=radius), limits, grid, settings.route_node_budget, limit_m
-        )
-        exhausted &= ended
-        if curve is not None and (best is None or curve.length_m < best.length_m):
-            best = curve
-        if best is not None and best.length_m <= _LONG * shortest:
-            break
-    return best, exhausted
-
-
-def _radii(wanted_m: float, least_m: float) -> list[float]:
-    radii = [radius for radius in (wanted_m, *_RADII_M) if radius >= least_m]
-    return list(dict.fromkeys([*radii, least_m]))
-
-
-def _path_at(
-    ends: FloatArray, space: Space, limits: Limits, grid: DistanceGrid | None, budget: int, limit_m: float
-) -> tuple[Curve | None, bool]:
-    """The path at one radius, and whether the search had seen all there is when it found none."""
-    wide = space.widened(_WIDER_M)
-    for _ in range(_DETOURS):
-        found = search(ends[0], ends[1], wide, grid, budget, limit_m)
-        if found.poses is None:
-            return None, found.exhausted
-        curve = _smoothed(found.poses, ends, space, limits)
-        if curve is None:
-            return None, False
-        poses = curve.spaced_poses(_CHECK_STEP_M)
-        lacks = space.clearance.near(poses[::_EVERY], _ASIDE_M).lacks(poses)
-        if lacks.max() <= _TOLERANCE_M:
-            return curve, False
-        # The sharp path is free but cannot be steered here: the next one must pass elsewhere.
-        wide = replace(wide, clearance=wide.clearance.closed_at(poses[int(np.argmax(lacks))]))
-    return None, False
-
-
-def _smoothed(poses: FloatArray, ends: FloatArray, space: Space, limits: Limits) -> Curve | None:
-    """Shorten and smooth a found path; it may still come too near to something."""
-    chain = shortest_chain(poses, ends[1], space)
-    if chain is None:
-        return None
-    start, goal = Pose(*ends[0]), Pose(*ends[1])
-    lengths, bends = arcs_of(chain, space)
-    if len(chain) == 2:
-        curve = smooth_to_goal(start, goal, lengths, bends, limits.curvature_1pm / limits.sharpness_1pm2)
-        if curve is not None and _is_steerable(curve, limits):
-            poses = curve.spaced_poses(_CHECK_STEP_M)
-            if space.clearance.near(poses[::_EVERY], _ASIDE_M).lacks(poses).max() <= _TOLERANCE_M:
-                return curve
-    sharp = arc_poses(
-        ends[:1], lengths[None], bends[None], np.arange(0.0, lengths.sum(), _COARSE_STEP_M)[None]
-    )[0]
-    nearby = replace(limits, clearance=space.clearance.near(sharp, _ASIDE_M))
-    curve = pull_taut(start, goal, lengths, bends, nearby)
-    return curve if curve is not None and _is_steerable(curve, limits) else None
-
-
-def _is_steerable(curve: Curve, limits: Limits) -> bool:
-    return bool(
-        np.abs(curve.curvatures_1pm).max() <= 1.001 * limits.curvature_1pm
-        and np.abs(curve.sharpness(curve.breaks_m)).max() <= 1.001 * limits.sharpness_1pm2
-    )
-
-
 def _grid(ends: FloatArray, clearance: Clearance) -> DistanceGrid | None:
     """Distances to the goal; none are needed where nothing is in the way."""
     if not len(clearance.obstacles):
@@ -278,14 +193,14 @@ def _refuse_impossible_ends(
             raise ScenarioError(f"{where} overlaps {name_of}; move the {name} or the obstacle")
 
 
-def _refuse_dead_ends(ends: FloatArray, space: Space) -> None:
+def _refuse_dead_ends(ends: FloatArray, radius_m: float, clearance: Clearance) -> None:
     """Raise where the car can stand but neither drive off nor arrive, which it does forward only."""
     for name, pose, arriving, does in (
         ("start", ends[0], False, "drive off forward"),
         ("goal", ends[1], True, "arrive forward"),
     ):
-        if is_dead_end(pose, space, arriving=arriving):
+        if is_dead_end(pose, radius_m, clearance, arriving=arriving):
             raise ScenarioError(
                 f"no path: at its {name} ({pose[0]:g}, {pose[1]:g}) the car cannot {does} with a turning "
-                f"radius of {space.radius_m:.3g} m; turn the {name} or give it more room"
+                f"radius of {radius_m:.3g} m; turn the {name} or give it more room"
             )

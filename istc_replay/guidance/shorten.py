@@ -35,8 +35,7 @@ def _cheapest(poses: FloatArray, space: Space) -> FloatArray | None:
     """Dynamic programme over the poses in order: the cheapest chain from the first to the last."""
     count = len(poses)
     before, after = np.triu_indices(count, 1)
-    driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
-    links = space.link(poses[before], poses[after], driven[before], np.full(len(before), np.inf), 3)
+    links = space.link(poses[before], poses[after], np.full(len(before), np.inf), 3)
     table = np.full((count, count), np.inf)
     table[before, after] = links.costs_m + _POSE_COST_M
     cost, came = np.full(count, np.inf), np.zeros(count, dtype=int)
@@ -54,13 +53,10 @@ def _cheapest(poses: FloatArray, space: Space) -> FloatArray | None:
 
 
 def arcs_of(chain: FloatArray, space: Space) -> tuple[FloatArray, FloatArray]:
-    """Lengths and curvatures (A,) of the arcs along a chain [m, 1/m], a straight between opposite bends."""
-    driven = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(chain[:, :2], axis=0).T))])[:-1]
-    links = space.link(chain[:-1], chain[1:], driven, np.full(len(chain) - 1, np.inf), 6)
+    """Lengths and curvatures (A,) of the arcs along a chain [m, 1/m]."""
+    links = space.link(chain[:-1], chain[1:], np.full(len(chain) - 1, np.inf), 6)
     lengths, bends = links.lengths_m.ravel(), links.curvatures_1pm.ravel()
     kept = lengths > _NO_ARC_M
     lengths, bends = lengths[kept], bends[kept]
     first = np.flatnonzero(np.concatenate([[True], np.diff(bends) != 0.0]))
-    lengths, bends = np.add.reduceat(lengths, first), bends[first]
-    opposite = np.flatnonzero(bends[:-1] * bends[1:] < 0.0) + 1
-    return np.insert(lengths, opposite, 0.0), np.insert(bends, opposite, 0.0)
+    return np.add.reduceat(lengths, first), bends[first]

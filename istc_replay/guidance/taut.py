@@ -12,30 +12,39 @@ import numpy as np
 from istc_replay.datatypes import FloatArray, read_only
 from istc_replay.guidance.clearance import Clearance
 from istc_replay.guidance.curves import Curve, Pose
+from istc_replay.guidance.tangents import Sharp
 
 _PIECE_M = 1.0  # between the break points of the curvature
 _PIECES_MAX = 200
 _SAMPLES = 3  # poses checked a piece
+_FINE = 2 * _SAMPLES  # steps of the integration a piece
 _NEAR_M = 1.0  # gaps larger than the margin by this cannot bind in one step
 _RESERVE_M = 0.015  # kept beyond the margins, for what lies between samples
 _ROUNDS = 30
 _EASING = 0.85  # what is left of a too sharp bend after a round
 _CHANGE_M, _CHANGE_1PM = 0.5, 0.05  # largest changes in a round, at first
-_TRUST_MIN = 1e-3  # share of them where to stop
-_GAIN_M = 2e-3
+_TRUST_MIN = 0.02  # share of them where to stop
+_GAIN_M = 5e-3
+#: A path that still lacks more after so many rounds, and gains less in one, does not get past.
+_STUCK_M, _ROUNDS_MIN = 0.1, 3
 _MISS_M = 0.01
 _END_PRICE, _GAP_PRICE = 50.0, 20.0
-_EVENNESS = 1.0  # price of squared changes of curvature
+_BEND_PRICE_M2 = 5.0  # of the largest curvature beyond the preferred one
+_EVENNESS = 0.1  # price of squared changes of curvature
+_SAFE = 0.999  # of a limit, which the last digits must not break
 _END_TOLERANCE = 1e-10
-_NUDGE = 1e-5
 _DECIMALS = 6
 
 
 @dataclass(frozen=True, eq=False)
 class Limits:
-    """What a path keeps to: largest curvature [1/m], change of curvature [1/m^2], clearance."""
+    """What a path keeps to.
+
+    The largest curvature, and the largest one without need [1/m]; change of curvature [1/m^2]; clearance.
+    """
 
     curvature_1pm: float
+    preferred_1pm: float
     sharpness_1pm2: float
     clearance: Clearance
 
@@ -46,27 +55,26 @@ class _Driven:
 
     gaps: FloatArray
     miss: FloatArray
-    gap_slopes: FloatArray  # (C, M + 2), rows only where the gap is near
+    gap_slopes: FloatArray  # (C, M + 2), only where the gap is near
     miss_slopes: FloatArray  # (3, M + 2)
 
 
-def pull_taut(
-    start: Pose, goal: Pose, lengths_m: FloatArray, bends_1pm: FloatArray, limits: Limits
-) -> Curve | None:
+def pull_taut(path: Sharp, goal: Pose, limits: Limits) -> Curve | None:
     """Make a sharp path smooth, and as short as it gets nearby.
 
     The curvature is linear between about one break point a metre. Its values and the length are
     found by sequential quadratic programming in a trust region: the length is minimised subject to
     limits on curvature and its change, and to the linearised miss at the goal and gaps to
-    obstacles and bounds, either of which may be violated at a price. Bends too sharp at first are
-    eased from round to round, so that the path stays on its side of the obstacles.
+    obstacles and bounds, either of which may be violated at a price; bends beyond the preferred
+    curvature have a price too. The Hessian is that of a string under a tension of one. Bends too
+    sharp at first are eased from round to round, so that the path stays on its side of the obstacles.
 
     Parameters
     ----------
-    start, goal : Pose
-        The ends, met exactly.
-    lengths_m, bends_1pm : ndarray
-        (A,) arcs of the sharp path [m, 1/m].
+    path : Sharp
+        The sharp path; the curve starts where it does.
+    goal : Pose
+        Where the curve ends, exactly.
     limits : Limits
         What the path keeps to.
 
@@ -75,16 +83,16 @@ def pull_taut(
     Curve or None
         The path; None where the goal is not reached. It may still come too near to something.
     """
-    length = float(lengths_m.sum())
+    length, start = path.length_m, path.start
     pieces = max(8, min(_PIECES_MAX, math.ceil(length / _PIECE_M)))
-    # Each break point gets the mean curvature half a piece about it, so that the turns are kept.
-    ends = np.concatenate([[0.0], np.cumsum(lengths_m)])
-    turned = np.concatenate([[0.0], np.cumsum(lengths_m * bends_1pm)])
-    halves = np.interp((np.arange(pieces + 2) - 0.5) * (length / pieces), ends, turned)
-    values = np.append(np.diff(halves) * (pieces / length), length)  # curvatures and the length
-    values[[1, pieces - 1]] += values[[0, pieces]]
-    values[[0, pieces]] = 0.0
-    values = _optimised(values, start.as_array(), goal.as_array(), limits)
+    # Each break point gets the mean curvature about it, so that the turns are kept.
+    ends = np.concatenate([[0.0], np.cumsum(path.lengths_m)])
+    turned = np.concatenate([[0.0], np.cumsum(path.lengths_m * path.bends_1pm)])
+    at = np.linspace(0.0, length, pieces + 1)
+    half = max(path.ramp_m, length / pieces) / 2.0
+    kappa = (np.interp(at + half, ends, turned) - np.interp(at - half, ends, turned)) / (2.0 * half)
+    kappa[[0, -1]] = 0.0
+    values = _optimised(np.append(kappa, length), start.as_array(), goal.as_array(), limits)
     # Rounded, so that the last digits do not depend on the processor.
     return _exact(np.round(values, _DECIMALS), start, goal)
 
@@ -92,8 +100,8 @@ def pull_taut(
 def _optimised(values: FloatArray, start: FloatArray, goal: FloatArray, limits: Limits) -> FloatArray:
     trust = 1.0
     now = _drive(values, start, goal, limits.clearance)
-    merit = _merit(values, now)
-    for _ in range(_ROUNDS):
+    merit = _merit(values, now, limits)
+    for number in range(_ROUNDS):
         limit = limits.sharpness_1pm2 * values[-1] / (len(values) - 2)
         sharp = bool(np.abs(np.diff(values[:-1])).max() > 1.001 * limit)
         step = _step(values, now, now.miss, limits, trust)
@@ -102,13 +110,14 @@ def _optimised(values: FloatArray, start: FloatArray, goal: FloatArray, limits: 
             # The same step again, now with what bending of the way to the goal it had left out.
             step = _step(values, now, after.miss - now.miss_slopes @ step, limits, trust)
             after = _drive(values + step, start, goal, limits.clearance)
-        gain = merit - _merit(values + step, after)
+        gain = merit - _merit(values + step, after, limits)
         if gain > 0.0 or sharp:
             values, now, merit = values + step, after, merit - gain
             trust = min(2.0 * trust, 1.0)
         else:
             trust /= 4.0
-        if not sharp and (0.0 < gain < _GAIN_M or trust < _TRUST_MIN):
+        stuck = number >= _ROUNDS_MIN and gain < _STUCK_M and now.gaps.min(initial=0.0) < -_STUCK_M
+        if stuck or (not sharp and (abs(gain) < _GAIN_M or trust < _TRUST_MIN)):
             break
     return values
 
@@ -116,95 +125,114 @@ def _optimised(values: FloatArray, start: FloatArray, goal: FloatArray, limits: 
 @cache
 def _integrals(pieces: int) -> FloatArray:
     """Integrals (F + 1, M + 1) of the hat functions from 0 to each of F fine steps of [0, 1]."""
-    fine = np.linspace(0.0, pieces, 2 * _SAMPLES * pieces + 1)[:, None] - np.arange(pieces + 1)
+    fine = np.linspace(0.0, pieces, _FINE * pieces + 1)[:, None] - np.arange(pieces + 1)
     rising, falling = np.clip(fine + 1.0, 0.0, 1.0), np.clip(fine, 0.0, 1.0)
     integrals = rising**2 / 2.0 + falling - falling**2 / 2.0
     integrals[:, 0] -= 0.5  # the first hat has no rising half
     return read_only(integrals / pieces)
 
 
-def _simpson(values: FloatArray) -> FloatArray:
-    """Integrals (S + 1, ...) from 0 to every second of the fine steps of [0, 1]."""
-    pairs = values[:-2:2] + 4.0 * values[1::2] + values[2::2]
-    return np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(pairs, axis=0)]) / (
-        3.0 * (len(values) - 1)
-    )
+@cache
+def _differences(pieces: int) -> FloatArray:
+    """Changes (M, M - 1) from break point to break point by the curvatures of the inner ones."""
+    return read_only(np.diff(np.eye(pieces + 1), axis=0)[:, 1:-1])
+
+
+@cache
+def _evenness(pieces: int) -> FloatArray:
+    """Hessian (M - 1, M - 1) of half the sum of squared changes."""
+    differences = _differences(pieces)
+    return read_only(differences.T @ differences)
 
 
 def _drive(values: FloatArray, start: FloatArray, goal: FloatArray, clearance: Clearance) -> _Driven:
     kappa, length = values[:-1], values[-1]
-    integrals = _integrals(len(kappa) - 1)
-    heading = start[2] + length * (integrals @ kappa)
-    c, s = np.cos(heading), np.sin(heading)
-    turns = np.column_stack([length * integrals, integrals @ kappa])  # (F + 1, M + 2) slopes of the heading
-    along = np.column_stack([_simpson(c), _simpson(s)])
-    poses = np.column_stack([start[:2] + length * along, heading[::2]])
-    slopes = np.stack(
-        [-length * _simpson(s[:, None] * turns), length * _simpson(c[:, None] * turns), turns[::2]], axis=1
-    )  # (S + 1, 3, M + 2)
-    slopes[:, :2, -1] += along
+    heading = start[2] + length * (_integrals(len(kappa) - 1) @ kappa)
+    way = np.stack([np.cos(heading), np.sin(heading)], axis=1)
+    # Simpson's rule, from 0 to every second of the fine steps.
+    steps = (way[:-2:2] + 4.0 * way[1::2] + way[2::2]) * (length / (3.0 * (len(way) - 1)))
+    poses = np.empty((len(steps) + 1, 3))
+    poses[0, :2], poses[1:, :2], poses[:, 2] = start[:2], start[:2] + np.cumsum(steps, axis=0), heading[::2]
     miss = poses[-1] - goal
     miss[2] = math.remainder(miss[2], 2.0 * math.pi)
-
-    def gaps(poses: FloatArray) -> FloatArray:
-        far = clearance.gaps(poses) - clearance.margins_m - _RESERVE_M
-        return np.column_stack([far, clearance.rooms(poses)])
-
-    here = gaps(poses)
-    sample, thing = np.nonzero(here < _NEAR_M)
-    some, index = np.unique(sample, return_inverse=True)
-    row_slopes = np.zeros((len(sample), len(values)))
-    for axis, nudge in enumerate(np.eye(3) * _NUDGE):
-        change = (gaps(poses[some] + nudge)[index, thing] - here[sample, thing]) / _NUDGE
-        row_slopes += change[:, None] * slopes[sample, axis]
-    return _Driven(here[sample, thing], miss, row_slopes, slopes[-1])
+    who, gaps, slopes = clearance.near_gaps(poses, _NEAR_M)
+    rows = _pose_slopes(np.append(who, len(poses) - 1), poses, values)  # (C + 1, 3, M + 2)
+    return _Driven(gaps - _RESERVE_M, miss, np.einsum("ca,cam->cm", slopes, rows[:-1]), rows[-1])
 
 
-def _merit(values: FloatArray, driven: _Driven) -> float:
+def _pose_slopes(who: np.ndarray, poses: FloatArray, values: FloatArray) -> FloatArray:
+    """Slopes (C, 3, M + 2) of some poses: a bend turns what lies behind it about itself.
+
+    The bend of a hat function counts at its break point; within its reach that is an approximation.
+    """
+    kappa, length = values[:-1], values[-1]
+    turns = length * _integrals(len(kappa) - 1)[::2][who]  # (C, M + 1)
+    pivots = poses[::_SAMPLES, :2]
+    behind = np.arange(len(pivots)) * _SAMPLES <= who[:, None]
+    slopes = np.empty((len(who), 3, len(values)))
+    slopes[:, 0, :-1] = (pivots[:, 1] - poses[who, 1:2]) * turns * behind
+    slopes[:, 1, :-1] = (poses[who, :1] - pivots[:, 0]) * turns * behind
+    slopes[:, 2, :-1] = turns
+    slopes[:, :, -1] = slopes[:, :, :-1] @ kappa / length
+    slopes[:, :2, -1] += (poses[who, :2] - poses[0, :2]) / length
+    return slopes
+
+
+def _merit(values: FloatArray, driven: _Driven, limits: Limits) -> float:
     """Length, and the price of the worst miss and the worst gap."""
     gap = max(0.0, -float(driven.gaps.min(initial=0.0)))
+    bend = max(0.0, float(np.abs(values[:-1]).max()) - limits.preferred_1pm)
     evenness = _EVENNESS / 2.0 * float((np.diff(values[:-1]) ** 2).sum())
-    return float(values[-1]) + evenness + _END_PRICE * float(np.abs(driven.miss).max()) + _GAP_PRICE * gap
+    miss = float(np.abs(driven.miss).max())
+    return float(values[-1]) + evenness + _END_PRICE * miss + _GAP_PRICE * gap + _BEND_PRICE_M2 * bend
 
 
 def _step(values: FloatArray, now: _Driven, miss: FloatArray, limits: Limits, trust: float) -> FloatArray:
-    """Change (M + 2,) of the values within the trust region: a QP in it and the two amounts violated."""
-    count, rows = len(values), len(now.gaps)
-    kappa, length = values[:-1], values[-1]
-    differ = np.diff(np.eye(count - 1), axis=0)
-    jumps = differ @ kappa
-    limit = limits.sharpness_1pm2 / len(jumps)
-    none = np.zeros((len(jumps), 1))
-    rate = np.column_stack([differ, np.full(len(jumps), -limit), none, none])
-    back = np.column_stack([-differ, np.full(len(jumps), -limit), none, none])
-    ones, nothing = np.ones((3, 1)), np.zeros((3, 1))
-    matrix = np.vstack(
-        [
-            rate,
-            back,
-            np.hstack([now.miss_slopes, -ones, nothing]),
-            np.hstack([-now.miss_slopes, -ones, nothing]),
-            np.hstack([-now.gap_slopes, np.zeros((rows, 1)), -np.ones((rows, 1))]),
-        ]
+    """Change (M + 2,) of the values within the trust region: a QP in it and the amounts violated."""
+    kappa, length = values[1:-2], values[-1]
+    inner, pieces = len(kappa), len(kappa) + 1
+    jumps = np.diff(values[:-1])
+    near = np.flatnonzero(np.abs(kappa) > limits.preferred_1pm - _CHANGE_1PM * trust)
+    # Columns: the inner break points, the length, the miss, what gaps lack, the bend beyond.
+    columns = [*range(1, inner + 1), -1]
+    rows = np.cumsum([pieces, 3, 3, len(now.gaps), len(near)])
+    matrix = np.zeros((rows[-1], inner + 4))
+    matrix[: rows[0], :inner] = _differences(pieces)
+    matrix[rows[0] : rows[1], : inner + 1] = now.miss_slopes[:, columns]
+    matrix[rows[1] : rows[2], : inner + 1] = -now.miss_slopes[:, columns]
+    matrix[rows[0] : rows[2], inner + 1] = -1.0
+    matrix[rows[2] : rows[3], : inner + 1] = -now.gap_slopes[:, columns]
+    matrix[rows[2] : rows[3], inner + 2] = -1.0
+    matrix[np.arange(rows[3], rows[4]), near] = np.sign(kappa[near])
+    matrix[rows[3] :, inner + 3] = -1.0
+    allowed = np.maximum(_SAFE * limits.sharpness_1pm2 * length / pieces, _EASING * np.abs(jumps))
+    upper = np.concatenate(
+        [allowed - jumps, -miss, miss, now.gaps, limits.preferred_1pm - np.abs(kappa[near])]
     )
-    allowed = np.maximum(limit * length, _EASING * np.abs(jumps))
-    upper = np.concatenate([allowed - jumps, allowed + jumps, -miss, miss, now.gaps])
-    change = np.append(np.full(count - 1, _CHANGE_1PM * trust), _CHANGE_M * trust)
-    high = np.minimum(change[:-1], np.maximum(limits.curvature_1pm - kappa, -change[:-1]))
-    shorter = min(change[-1], 0.3 * length)
-    low = np.maximum(-change[:-1], np.minimum(-limits.curvature_1pm - kappa, change[:-1]))
-    high[[0, -1]] = low[[0, -1]] = 0.0
-    hessian = np.diag(np.full(count + 2, 1e-3))
-    hessian[: count - 1, : count - 1] += _EVENNESS * differ.T @ differ
-    cost = np.concatenate([_EVENNESS * differ.T @ jumps, [1.0, _END_PRICE, _GAP_PRICE]])
+    lower = np.concatenate([-allowed - jumps, np.full(len(upper) - pieces, -1e30)])
+    change, longer = _CHANGE_1PM * trust, _CHANGE_M * trust
+    high = np.minimum(change, np.maximum(limits.curvature_1pm - kappa, -change))
+    low = np.maximum(-change, np.minimum(-limits.curvature_1pm - kappa, change))
+    integrals = _integrals(pieces)[::_FINE]
+    turning = np.column_stack([length * integrals[:, 1:-1], integrals @ values[:-1]])
+    hessian = np.diag(np.full(inner + 4, 1e-3))
+    hessian[:inner, :inner] += _EVENNESS * _evenness(pieces)
+    # A taut string of tension one: turning a piece aside costs half the square of the angle.
+    hessian[: inner + 1, : inner + 1] += length / pieces * (turning.T @ turning)
+    cost = np.concatenate(
+        [_EVENNESS * jumps @ _differences(pieces), [1.0, _END_PRICE, _GAP_PRICE, _BEND_PRICE_M2]]
+    )
     solution, _, flag, _ = daqp.solve(
         hessian,
         cost,
-        np.ascontiguousarray(matrix),
-        np.concatenate([high, [change[-1], 1e3, 1e3], upper]),
-        np.concatenate([low, [-shorter, 0.0, 0.0], np.full(len(upper), -1e30)]),
+        matrix,
+        np.concatenate([high, [longer, 1e3, 1e3, 1e3], upper]),
+        np.concatenate([low, [-min(longer, 0.3 * length), 0.0, 0.0, 0.0], lower]),
     )
-    return np.asarray(solution[:count]) if flag > 0 else np.zeros(count)
+    step = np.zeros(len(values))
+    if flag > 0:
+        step[columns] = solution[: inner + 1]
+    return step
 
 
 def _exact(values: FloatArray, start: Pose, goal: Pose) -> Curve | None:
@@ -219,20 +247,8 @@ def _exact(values: FloatArray, start: Pose, goal: Pose) -> Curve | None:
             return curve
         if np.abs(miss).max() > 0.1:
             return None
-        slopes = _miss_slopes(values, start.as_array())
+        poses = curve.poses(np.linspace(0.0, values[-1], _SAMPLES * (len(values) - 2) + 1))
+        slopes = _pose_slopes(np.array([len(poses) - 1]), poses, values)[0]
         values = values.copy()
         values[free] -= np.linalg.lstsq(slopes[:, free], miss, rcond=None)[0]
     return None
-
-
-def _miss_slopes(values: FloatArray, start: FloatArray) -> FloatArray:
-    kappa, length = values[:-1], values[-1]
-    integrals = _integrals(len(kappa) - 1)
-    heading = start[2] + length * (integrals @ kappa)
-    c, s = np.cos(heading), np.sin(heading)
-    turns = np.column_stack([length * integrals, integrals @ kappa])
-    slopes = np.stack(
-        [-length * _simpson(s[:, None] * turns)[-1], length * _simpson(c[:, None] * turns)[-1], turns[-1]]
-    )
-    slopes[:2, -1] += _simpson(c)[-1], _simpson(s)[-1]
-    return slopes

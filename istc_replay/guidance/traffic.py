@@ -39,14 +39,12 @@ class Traffic:
         """Distance of the points of a path that `of` takes [m]."""
         return speed_mps * _STEP_S
 
-    def density(self, points_m: FloatArray, driven_m: FloatArray) -> FloatArray:
-        """Cost per metre (...) of being at points (..., 2) after a length driven (...) [m]."""
-        times = driven_m / self.speed_mps
-        cost = np.zeros(times.shape)
+    def cost_m(self, points_m: FloatArray, step_m: float) -> float:
+        """What meeting others costs a path of points (P, 2), one a step [m]."""
+        times = np.arange(len(points_m)) * (step_m / self.speed_mps)
+        cost = 0
         for shift in _SHIFTS_S:
-            index = np.clip(np.rint((times + shift) / _STEP_S), 0, self.points_m.shape[1] - 1).astype(
-                np.int64
-            )
-            others = self.points_m[:, index]  # (V, ..., 2)
-            cost += (((others - points_m) ** 2).sum(axis=-1) < _REACH_M**2).sum(axis=0)
-        return cost * (_WEIGHT / len(_SHIFTS_S))
+            index = np.clip(np.rint((times + shift) / _STEP_S), 0, self.points_m.shape[1] - 1)
+            others = self.points_m[:, index.astype(np.int64)]  # (V, P, 2)
+            cost += int((((others - points_m) ** 2).sum(axis=-1) < _REACH_M**2).sum())
+        return cost * step_m * _WEIGHT / len(_SHIFTS_S)

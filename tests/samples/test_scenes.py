@@ -269,7 +269,7 @@ def test_packaged_scenes_are_those_of_the_reference_data(name: str) -> None:
 
 
 def test_coordinated_routing_is_a_setting_of_its_own() -> None:
-    scene = packaged_scene("dense_4_row")
+    scene = packaged_scene("dense_6_row")
     alone, coordinated = (record(scene, GuidanceConfig(routing=r)) for r in ("independent", "coordinated"))
     first, same = (tracks(s)["1"].head(120) for s in (alone, coordinated))
     assert first.equals(same), "the first to be routed knows nobody"
