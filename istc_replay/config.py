@@ -252,11 +252,13 @@ class CorridorsConfig(Section):
     small_crowd_node_budget: Count = 300
     """The same where four vehicles among standing obstacles are tried before seeds."""
     tree_proof_node_budget: Count = 4000
-    """QPs of the conflict tree that bounds eq. (3), certified mode."""
+    """QPs of pivotal points in the tree of eq. (4), certified mode."""
+    joint_qp_budget: Annotated[int, Field(ge=0)] = 300
+    """QPs of points and cubes together in the tree of eq. (4), certified mode."""
     milp_node_budget: Count = 20_000
     """Nodes of all branch-and-bound runs of one proof."""
     proof_binaries_max: Count = 400
-    """A problem with more binaries left after probing is bounded by the conflict tree alone."""
+    """What the tree of eq. (4) leaves open goes to CBC unless more binaries are left after probing."""
     rounds: Count = 12
     """Rounds of the outer approximation."""
     emergency_stop_s: Positive = 300.0

@@ -54,7 +54,7 @@ class _Open(NamedTuple):
 
 @dataclass(slots=True)
 class Tree:
-    """The conflict tree of one group."""
+    """The conflict tree of one group; `table` are its separations, `own` their numbers."""
 
     problem: CorridorProblem
     qp: PivotQp
@@ -72,8 +72,8 @@ class Tree:
     _queue: list[_Open] | None = None
     _order: count[int] = field(default_factory=lambda: count(1))
     _members: tuple[int, ...] = field(init=False)
-    _own: IntArray = field(init=False)
-    _table: Separations = field(init=False)
+    own: IntArray = field(init=False)
+    table: Separations = field(init=False)
 
     def __post_init__(self) -> None:
         table = self.problem.separations
@@ -83,8 +83,8 @@ class Tree:
         mine = (first & (table.obstacle | np.isin(table.second, known))) | (
             second & ~table.obstacle & np.isin(table.first, known)
         )
-        self._own = np.flatnonzero(mine)
-        self._table = table.taken(self._own)
+        self.own = np.flatnonzero(mine)
+        self.table = table.taken(self.own)
 
     def run(self) -> None:
         """Search within the budget: a first solution, the tree best first, then neighbourhoods."""
@@ -123,12 +123,12 @@ class Tree:
                 if child is not None:
                     self._push(queue, child.cost, child, None)
                 continue
-            slack = self._slack(node.solution)
-            conflict = self._worst_conflict(slack)
+            slack = self.slack(node.solution)
+            conflict = self.worst_conflict(slack)
             if conflict is None:
                 self.best = node.solution
                 continue
-            for bound, choice in self._priced(node.solution, conflict, slack[conflict]):
+            for bound, choice in self.priced(node.solution, conflict, slack[conflict]):
                 if bound < self.cutoff:
                     self._push(queue, bound, node.solution, choice)
 
@@ -178,12 +178,12 @@ class Tree:
     def _dive(self, node: PivotSolution) -> Iterator[_Passed]:
         """Follow the best child down to a solution or a dead end; gives the children passed by."""
         while True:
-            slack = self._slack(node)
-            conflict = self._worst_conflict(slack)
+            slack = self.slack(node)
+            conflict = self.worst_conflict(slack)
             if conflict is None:
                 self.best = node
                 return
-            self.open_conflict = int(self._own[conflict])
+            self.open_conflict = int(self.own[conflict])
             child, passed = self._children(node, conflict, slack[conflict])
             yield from passed
             if child is None:
@@ -200,14 +200,14 @@ class Tree:
         best: PivotSolution | None = None
         least = np.inf
         passed: list[_Passed] = []
-        for bound, choice in self._priced(node, conflict, slack):
+        for bound, choice in self.priced(node, conflict, slack):
             if bound >= min(least, self.cutoff):
                 passed.append((bound, node, choice))
                 continue
             child = self._solve(node, choice)
             if child is None:
                 continue
-            overlap = np.maximum(-self._slack(child).max(axis=1), 0.0).sum()
+            overlap = np.maximum(-self.slack(child).max(axis=1), 0.0).sum()
             score = child.cost + _OVERLAP_COST * float(overlap)
             if score < least:
                 if best is not None:
@@ -217,9 +217,9 @@ class Tree:
                 passed.append((child.cost, child, None))
         return best, passed
 
-    def _priced(self, node: PivotSolution, conflict: int, slack: FloatArray) -> list[tuple[float, Choice]]:
+    def priced(self, node: PivotSolution, conflict: int, slack: FloatArray) -> list[tuple[float, Choice]]:
         """The options of a group's conflict with lower bounds of their cost, cheapest first."""
-        separation = int(self._own[conflict])
+        separation = int(self.own[conflict])
         return sorted(
             (node.cost + self.qp.price(separation, o) * float(slack[o]) ** 2, (separation, o))
             for o in range(4)
@@ -232,11 +232,11 @@ class Tree:
         child = self.qp.with_option(node, choice, self.cutoff)
         return None if child is None or child.cost >= self.cutoff else child
 
-    def _slack(self, node: PivotSolution) -> FloatArray:
-        """How far the options of the group's separations hold (D, 4)."""
-        return self._table.slack(self.problem.least_cubes(self.qp.z(node)))
+    def slack(self, node: PivotSolution) -> FloatArray:
+        """How far the options of the group's separations hold (D, 4) with least cubes."""
+        return self.table.slack(self.problem.least_cubes(self.qp.z(node)))
 
-    def _worst_conflict(self, slack: FloatArray) -> int | None:
+    def worst_conflict(self, slack: FloatArray) -> int | None:
         """Branch where the overlap is largest and a second way out is far, or in the earliest unit."""
         if not len(slack):
             return None
@@ -247,5 +247,5 @@ class Tree:
         second = np.where(np.isfinite(ordered[:, 1]), -ordered[:, 1], _NO_WAY_OUT_M)
         open_ = overlap > CONFLICT_M
         if self.earliest_first:
-            open_ &= self._table.unit == self._table.unit[open_].min()
+            open_ &= self.table.unit == self.table.unit[open_].min()
         return int(np.argmax(np.where(open_, overlap + second / 2.0, -np.inf)))

@@ -15,15 +15,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from istc_replay.corridors.conflict_tree import CONFLICT_M, TOGETHER, Group, Tree
-from istc_replay.corridors.neighbourhoods import binding_choices, improve, join, vehicle_costs
+from istc_replay.corridors.neighbourhoods import improve, join
 from istc_replay.corridors.pivot_qp import Choices, PivotQp
 
 if TYPE_CHECKING:
     from istc_replay.corridors.problem import CorridorProblem
     from istc_replay.datatypes import FloatArray
-
-#: Variables of a QP that counts as one: eight vehicles for thirteen units.
-_USUAL = 208
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,42 +144,7 @@ def _latest(solved: dict[Group, Tree]) -> list[Tree]:
     return list({id(tree): tree for tree in latest.values()}.values())
 
 
-def prove(problem: CorridorProblem, z: FloatArray, node_budget: int, together: int = TOGETHER) -> TreeOutcome:
-    """Bound eq. (3) of a problem that has a solution, best first; where one tree holds all, improve on it.
-
-    Parameters
-    ----------
-    problem : CorridorProblem
-        The window's problem.
-    z : (n,) array
-        A solution: what costs more need not be searched.
-    node_budget : int
-        Largest number of QPs of the size of `_USUAL`; of larger ones, which take more steps of more
-        work, it buys fewer by the fourth power of their size.
-    together : int
-        Most vehicles of one tree.
-    """
-    qp, costs = PivotQp(problem), vehicle_costs(problem, z)
-    parts = _parts(problem, qp, together)
-    whole = len(parts) == 1
-    trees = []
-    for part in parts:
-        size = sum(2 * problem.blocks[vehicle].units for vehicle in part)
-        budget = max(1, round(node_budget / len(parts) * min(1.0, (_USUAL / size) ** 4)))
-        tree = Tree(problem, qp, part, budget, (), most=sum(costs[v] for v in part))
-        if whole:
-            tree.plunge(binding_choices(problem, z), budget, first_only=True)
-        tree.prove(budget)
-        trees.append(tree)
-    best = trees[0].best if whole else None
-    better = None if best is None else problem.least_cubes(qp.z(best))
-    exhausted = whole and trees[0].exhausted
-    return TreeOutcome(
-        better, sum(tree.nodes for tree in trees), exhausted, sum(tree.bound for tree in trees)
-    )
-
-
-def _parts(problem: CorridorProblem, qp: PivotQp, together: int) -> list[Group]:
+def proof_parts(problem: CorridorProblem, qp: PivotQp, together: int) -> list[Group]:
     """The vehicles in groups that a tree can hold, those together that are most in each other's way."""
     everyone = tuple(range(len(problem.blocks)))
     alone = qp.root(everyone, ())

@@ -65,6 +65,11 @@ class Search:
             return None
         return gap_between(self.objective, self.bound)
 
+    def closed(self, tolerance: float) -> bool:
+        """Whether the incumbent is proven to be the optimum within a relative gap."""
+        gap = self.gap
+        return gap is not None and gap <= tolerance
+
     def record(self, stage: str, solver: str, status: SolveStatus, began: float, **figures: object) -> None:
         """Note one solver call of layer 1: what it found, and the bound and gap as they stand."""
         standing = {"bound": self.bound if np.isfinite(self.bound) else None, "gap": self.gap}

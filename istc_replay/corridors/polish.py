@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import casadi
@@ -41,11 +42,48 @@ def polish(
     rows = problem.rows
     if choice is not None and len(problem.separations):
         rows = Rows.join([rows, problem.separations.rows(choice)])
+    everything = np.arange(problem.size)
+    return _least(problem, rows, everything, share)
+
+
+def own_indices(problem: CorridorProblem, vehicles: Sequence[int]) -> IntArray:
+    """Indices of all variables of some vehicles."""
+    blocks = [problem.blocks[v] for v in vehicles]
+    return np.concatenate([np.concatenate([b.pivot[1:].ravel(), b.cube.ravel()]) for b in blocks])
+
+
+def polish_part(
+    problem: CorridorProblem,
+    vehicles: Sequence[int],
+    choices: Sequence[tuple[int, int]],
+    *,
+    share: float = 1.0,
+) -> FloatArray | None:
+    """Minimise eq. (4) of some vehicles alone, with some options (separation, option) of theirs enforced.
+
+    Returns
+    -------
+    array or None
+        The optimum in the order of `own_indices`, or None where none was found.
+    """
+    indices = own_indices(problem, vehicles)
+    local = np.full(problem.size + 1, CONSTANT, dtype=np.int64)
+    local[indices] = np.arange(len(indices))
+    rows = problem.rows.taken(local[problem.rows.index[:, 0]] != CONSTANT)
+    if choices:
+        table = problem.separations.taken(np.array([d for d, _ in choices], dtype=np.int64))
+        rows = Rows.join([rows, table.rows([option for _, option in choices])])
+    return _least(problem, replace(rows, index=local[rows.index]), indices, share)
+
+
+def _least(problem: CorridorProblem, rows: Rows, indices: IntArray, share: float) -> FloatArray | None:
+    """The variables at some indices, at least eq. (4) with a share of eq. (3), within rows of these alone."""
     place, entry = np.nonzero(rows.index != CONSTANT)
     column, weight = rows.index[place, entry], rows.weight[place, entry]
-    shape = len(rows.lower), problem.size
+    shape = len(rows.lower), len(indices)
     matrix = casadi.DM.triplet(place.tolist(), column.tolist(), casadi.DM(weight), *shape)
-    quadratic = share * problem.quadratic
+    quadratic = share * problem.quadratic[indices]
+    lower, upper = problem.lower[indices], problem.upper[indices]
     hessian = _diagonal(2.0 * quadratic)
     solver = casadi.conic(
         "polish",
@@ -55,17 +93,17 @@ def polish(
     )
     solution = solver(
         h=hessian,
-        g=problem.linear - 2.0 * quadratic * problem.reference,
+        g=problem.linear[indices] - 2.0 * quadratic * problem.reference[indices],
         a=matrix,
         lba=rows.lower,
         uba=rows.upper,
-        lbx=problem.lower,
-        ubx=problem.upper,
+        lbx=lower,
+        ubx=upper,
     )
     z = np.asarray(solution["x"]).ravel()
     if not np.isfinite(z).all():
         return None
-    z = np.clip(z, problem.lower, problem.upper)
+    z = np.clip(z, lower, upper)
     value = rows.value(z)
     excess = max(float((rows.lower - value).max()), float((value - rows.upper).max()))
     return read_only(z) if excess <= FEASIBLE_M else None

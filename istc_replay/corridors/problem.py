@@ -102,6 +102,14 @@ class Rows:
             np.concatenate([part.upper for part in some]),
         )
 
+    def taken(self, which: BoolArray) -> Rows:
+        """Some of the rows (R,)."""
+        ends = np.cumsum([count for _, count in self.families])
+        counts = [int(run.sum()) for run in np.split(which, ends[:-1])]
+        names = [name for name, _ in self.families]
+        families = tuple((name, count) for name, count in zip(names, counts, strict=True) if count)
+        return Rows(families, self.index[which], self.weight[which], self.lower[which], self.upper[which])
+
     def value(self, z: FloatArray) -> FloatArray:
         """Left-hand sides (R,) at z."""
         return np.asarray((self.weight * extended(z)[self.index]).sum(axis=1))

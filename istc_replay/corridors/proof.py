@@ -8,8 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from istc_replay.corridors import cbc, groups
-from istc_replay.corridors.incumbent import Search, fill
+from istc_replay.corridors import cbc, joint_tree
+from istc_replay.corridors.incumbent import Search
+from istc_replay.corridors.joint_tree import QP_ROUNDING
 from istc_replay.corridors.miqp import MilpModel, build_milp
 from istc_replay.corridors.pivot_qp import PivotQp
 from istc_replay.corridors.polish import polish
@@ -24,8 +25,6 @@ if TYPE_CHECKING:
 _SEEDS_M = (-4.0, -2.0, -1.0, -0.3, 0.3, 1.0, 2.0, 4.0)
 #: CBC may leave this share of the wanted gap open in each round.
 _GAP_SHARE = 0.25
-#: A QP's optimum is taken as a bound less this share.
-_QP_ROUNDING = 1e-6
 #: About what the cubes' sizes gain by moving pivotal points where only a share s of eq. (3) counts,
 #: times s. It decides how good a bound is, not whether it is one.
 _DRIFT_COST = 0.2
@@ -52,32 +51,32 @@ def bound_by_parts(search: Search) -> None:
         if share == 1.0 and not len(problem.separations):
             search.offer(z, "joint polish")
         rest = problem.objective(z) - (1.0 - share) * problem.reference_cost(z)
-        rest -= _QP_ROUNDING * max(1.0, abs(rest))
+        rest -= QP_ROUNDING * max(1.0, abs(rest))
         search.bound = max(search.bound, (1.0 - share) * reference_bound + rest)
     known = np.isfinite(search.bound)
     search.record("relaxation", "piqp", SolveStatus.FEASIBLE if known else SolveStatus.ERROR, began)
 
 
-def prove_points(search: Search, config: CorridorsConfig) -> None:
-    """Bound eq. (3) by the conflict tree, best first, about the incumbent's own choice of options."""
-    if search.z is None or search.exhausted:
+def prove_jointly(search: Search, config: CorridorsConfig) -> None:
+    """Bound eq. (4) by its tree, best first; what it finds on the way is a new incumbent."""
+    if search.z is None:
         return
     began = time.perf_counter()
-    problem = search.problem
-    tree = groups.prove(problem, search.z, config.tree_proof_node_budget, config.group_vehicles_max)
-    search.exhausted = tree.exhausted
-    search.reference_bound = max(search.reference_bound, tree.bound)
-    status = SolveStatus.OPTIMAL if tree.exhausted else SolveStatus.FEASIBLE
-    search.record(
-        "conflict tree, best first",
-        "daqp",
-        status,
-        began,
-        nodes=tree.nodes,
-        detail=f"eq. (3) is at least {search.reference_bound:.6g}",
+    budgets = config.tree_proof_node_budget, config.joint_qp_budget
+    tree = joint_tree.prove(
+        search.problem, search.z, config.gap_tolerance, *budgets, config.group_vehicles_max
     )
-    if tree.z is not None and problem.reference_cost(tree.z) < problem.reference_cost(search.z) * (1 - 1e-4):
-        fill(search, tree.z, config, sized=True)
+    search.offer(tree.z, "joint tree")
+    search.bound = max(search.bound, tree.bound)
+    search.record(
+        "joint tree",
+        "daqp, piqp",
+        SolveStatus.OPTIMAL if search.closed(config.gap_tolerance) else SolveStatus.FEASIBLE,
+        began,
+        objective=search.objective,
+        nodes=tree.nodes + tree.joint_qps,
+        detail=f"{tree.joint_qps} QPs of points and cubes",
+    )
 
 
 def probe(search: Search, config: CorridorsConfig) -> CorridorProblem:
@@ -97,8 +96,8 @@ def probe(search: Search, config: CorridorsConfig) -> CorridorProblem:
     if z is None or root is None or search.z is None:
         return problem
     rest = problem.objective(z) - (1.0 - share) * problem.reference_cost(z)
-    rest -= _QP_ROUNDING * max(1.0, abs(rest))
-    most = (search.objective + _QP_ROUNDING * max(1.0, abs(search.objective)) - rest) / (1.0 - share)
+    rest -= QP_ROUNDING * max(1.0, abs(rest))
+    most = (search.objective + QP_ROUNDING * max(1.0, abs(search.objective)) - rest) / (1.0 - share)
     table = problem.separations
     gap = np.array(table.gap)
     tried = np.argwhere(table.possible).tolist()
@@ -160,9 +159,7 @@ def approximate(
             binaries=milp.binaries,
             detail=run.detail,
         )
-        gap = search.gap
-        closed = gap is not None and gap <= config.gap_tolerance
-        if closed or not found or nodes_left <= 0 or new == 0:
+        if search.closed(config.gap_tolerance) or not found or nodes_left <= 0 or new == 0:
             return
 
 

@@ -116,16 +116,16 @@ def _prove(search: Search, scenario: Scenario, config: CorridorsConfig) -> None:
     """Bound the incumbent as far as the mode asks; where there is none, look for one."""
     paper = config.formulation == "paper"
     certified = config.mode == "certified" or (search.z is None and not scenario.traffic)
-    if certified and not paper and not scenario.traffic:
-        proof.prove_points(search, config)
     proof.bound_by_parts(search)
-    gap = search.gap
-    if not certified or (gap is not None and gap <= config.gap_tolerance):
+    if not certified or search.closed(config.gap_tolerance):
         return
     problem = search.problem
     if not len(problem.separations) or (scenario.traffic and problem.binaries > config.proof_binaries_max):
         return
     if not paper and search.z is not None:
+        proof.prove_jointly(search, config)
+        if search.closed(config.gap_tolerance):
+            return
         problem = proof.probe(search, config)
     if problem.binaries <= config.proof_binaries_max:
         proof.approximate(search, problem, config, PAPER_BIG_M if paper else None)
@@ -150,15 +150,13 @@ def _outcome(search: Search, config: CorridorsConfig) -> Corridors:
     records = tuple(search.records)
     if search.z is None:
         return replace(_none_found(search), records=records, culprits=search.culprits)
-    gap = search.gap
-    proven = gap is not None and gap <= config.gap_tolerance
     return Corridors(
-        status=SolveStatus.OPTIMAL if proven else SolveStatus.FEASIBLE,
+        status=SolveStatus.OPTIMAL if search.closed(config.gap_tolerance) else SolveStatus.FEASIBLE,
         corridors=search.problem.corridors(search.z),
         frames=search.frames,
         objective=search.objective,
         bound=search.bound if np.isfinite(search.bound) else None,
-        gap=gap,
+        gap=search.gap,
         found_by=search.found_by,
         reason=search.note,
         records=records,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from istc_replay.corridors.groups import prove, search
+from istc_replay.corridors.groups import search
 from istc_replay.corridors.neighbourhoods import improve, join
 from istc_replay.corridors.pivot_qp import PivotQp
 from istc_replay.corridors.problem import CorridorProblem
@@ -102,18 +102,3 @@ def test_who_finds_no_place_beside_others_is_named_with_one_in_its_way(crossing:
     assert [names for _, names in left] == [("3", "4")]
     found = search(hopeless, 1, 2)
     assert (found.z, found.culprits) == (None, (("3", "4"),))
-
-
-@pytest.mark.parametrize("seed", [2, 5])
-def test_parts_bound_the_whole(seed: int, crossing: Callable[..., Any]) -> None:
-    problem = crossing(seed, vehicles=4, units=6).problem()
-    best = search(problem, 8000)
-    assert best.exhausted
-    assert best.z is not None
-    optimum = problem.reference_cost(best.z)
-    whole = prove(problem, best.z, 8000)
-    assert whole.exhausted
-    assert optimum * (1 - 1e-3) <= whole.bound <= optimum * (1 + 1e-6)
-    parts = prove(problem, best.z, 8000, together=2)
-    assert not parts.exhausted
-    assert 0.0 < parts.bound <= optimum * (1 + 1e-6)

@@ -14,6 +14,8 @@ from istc_replay.corridors.polish import polish
 from istc_replay.corridors.problem import CONSTANT, CorridorProblem
 from istc_replay.datatypes import Corridors, SolveStatus
 
+#: Leaves the proof to CBC.
+NO_TREE = {"joint_qp_budget": 0, "tree_proof_node_budget": 1}
 GROUPS = ("intersection_turn_first", "intersection_straight_first")
 
 
@@ -119,7 +121,7 @@ def test_a_solver_that_dies_or_hangs_leaves_what_was_found_before(
 ) -> None:
     fake_cbc(script)
     monkeypatch.setattr("istc_replay.corridors.cbc._START_S", 0.2)
-    solved = intersection("intersection_turn_first").solved(mode=mode, emergency_stop_s=0.05)
+    solved = intersection("intersection_turn_first").solved(mode=mode, emergency_stop_s=0.05, **NO_TREE)
     assert solved.status is SolveStatus.FEASIBLE
     assert len(solved.corridors) == 3
     assert solved.bound < solved.objective
@@ -146,19 +148,31 @@ def test_every_stage_tells_its_time_and_where_the_bound_stands(intersection: Cal
         "cube sizes",
         "joint polish",
         "relaxation",
-        "probing",
-        "outer approximation 1",
+        "joint tree",
     ]
     assert all(record.wall_s is not None and record.wall_s > 0.0 for record in solved.records)
     bounds = [record.bound for record in solved.records if record.bound is not None]
     assert bounds == sorted(bounds)
     assert bounds[-1] == solved.bound
-    assert solved.found_by in ("joint polish", "outer approximation, round 1")
+    assert solved.found_by in ("joint polish", "joint tree")
 
 
-def test_a_proof_without_outer_approximation_bounds_by_the_tree(intersection: Callable[..., Any]) -> None:
+@pytest.mark.parametrize("group", GROUPS)
+def test_the_full_miqp_by_cbc_proves_what_the_joint_tree_proves(
+    group: str, intersection: Callable[..., Any]
+) -> None:
+    case = intersection(group)
+    by_tree, by_cbc = case.solved(), case.solved(**NO_TREE)
+    assert by_tree.status is by_cbc.status is SolveStatus.OPTIMAL
+    assert [record.stage for record in by_cbc.records][-2:] == ["probing", "outer approximation 1"]
+    assert by_cbc.objective == pytest.approx(by_tree.objective, rel=1e-3)
+    assert by_cbc.bound <= by_tree.objective
+    assert by_tree.bound <= by_cbc.objective
+
+
+def test_a_proof_whose_budgets_end_bounds_by_eq_3(intersection: Callable[..., Any]) -> None:
     case = intersection("intersection_turn_first")
-    proven, bounded = case.solved(), case.solved(proof_binaries_max=1)
+    proven, bounded = case.solved(), case.solved(proof_binaries_max=1, **NO_TREE)
     assert bounded.status is SolveStatus.FEASIBLE
     relaxed = polish(case.problem(), None)
     assert relaxed is not None
