@@ -21,6 +21,7 @@ from istc_replay.ingest.foreign import (
 )
 from istc_replay.ingest.places import LocalFrame
 from istc_replay.ingest.problems import Problems, quoted
+from istc_replay.ingest.sumo_net import read_net
 from istc_replay.ingest.xml_stream import Progress, head_of, read_xml
 
 ROOT = "fcd-export"
@@ -157,7 +158,7 @@ class _Fcd:
         return assumed
 
 
-def read_fcd(path: Path, types: list[Path], progress: Progress) -> ForeignRecording:
+def read_fcd(path: Path, types: list[Path], progress: Progress, net: Path | None = None) -> ForeignRecording:
     """Read an FCD file, plain or gzip.
 
     Parameters
@@ -168,11 +169,14 @@ def read_fcd(path: Path, types: list[Path], progress: Progress) -> ForeignRecord
         SUMO files that declare the vTypes: their lengths move front bumpers to box centres.
     progress : callable
         Told bytes read and bytes in all.
+    net : Path, optional
+        The network that was driven on: its lanes are those of the scene.
 
     Raises
     ------
     LogError
-        If a file is not XML, is above a limit, or holds no state.
+        If a file is not XML, is above a limit, or holds no state, or if positions in degrees are to fit
+        a network.
     """
     declared = _Types()
     for file in types:
@@ -183,7 +187,13 @@ def read_fcd(path: Path, types: list[Path], progress: Progress) -> ForeignRecord
         if cut:
             raise LogError(f"{file}: {cut}")
     problems = Problems()
-    handler = _Fcd(declared.boxes, _is_geo(path), problems)
+    geo = _is_geo(path)
+    if net is not None and geo:
+        raise LogError(
+            f"{path}: its positions are degrees, those of {net} are not; write it without {_GEO_NOTE}"
+        )
+    lanes = () if net is None else read_net(net, problems)
+    handler = _Fcd(declared.boxes, geo, problems)
     cut = read_xml(path, handler, progress)
     if cut:
         problems.lose("truncated", f"{cut}; what stands before it is read")
@@ -193,7 +203,7 @@ def read_fcd(path: Path, types: list[Path], progress: Progress) -> ForeignRecord
     return ForeignRecording(
         "SUMO FCD",
         handler.states.table(),
-        StaticScene(),
+        StaticScene(lanes),
         problems.found(),
         not problems.lost,
         ("front bumpers moved to box centres, angles turned to counter-clockwise from east",),

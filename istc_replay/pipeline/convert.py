@@ -37,7 +37,12 @@ class Converted:
 
 
 def convert_recording(
-    source: Path, out: Path, config: Config, types: Sequence[Path] = (), progress: Progress = silent
+    source: Path,
+    out: Path,
+    config: Config,
+    types: Sequence[Path] = (),
+    progress: Progress = silent,
+    net: Path | None = None,
 ) -> Converted:
     """Write a CommonRoad scenario, SUMO's FCD, or a table of states as an MCAP log.
 
@@ -53,16 +58,18 @@ def convert_recording(
         SUMO files that declare the vTypes.
     progress : callable, optional
         Told bytes or rows read, and those in all.
+    net : Path, optional
+        SUMO's network, whose lanes go into the log.
 
     Raises
     ------
     LogError
         If the source cannot be read or holds no state.
     UsageError
-        If the output is the source, or types are given for what is not SUMO's.
+        If the output is the source, or types or a network are given for what is not SUMO's.
     """
-    refuse_inputs(out, [source, *types])
-    found = _read(source, config, list(types), progress)
+    refuse_inputs(out, [source, *types, *([] if net is None else [net])])
+    found = _read(source, config, list(types), progress, net)
     with atomic_file(out) as temporary, temporary.open("wb") as stream:
         write_states(found.states, found.scene, stream)
     times = found.states["time_ns"]
@@ -80,16 +87,20 @@ def convert_recording(
     )
 
 
-def _read(source: Path, config: Config, types: list[Path], progress: Progress) -> ForeignRecording:
+def _read(
+    source: Path, config: Config, types: list[Path], progress: Progress, net: Path | None
+) -> ForeignRecording:
     if not source.is_file():
         raise LogError(f"{source}: no such file; give a CommonRoad or SUMO XML, a CSV or a Parquet file")
     root = "" if source.suffix in SUFFIXES else head_of(source)[0]
     if types and root != sumo.ROOT:
         raise UsageError(f"--types goes with SUMO's FCD; {source} is none")
+    if net is not None and root != sumo.ROOT:
+        raise UsageError(f"--net goes with SUMO's FCD; {source} is none")
     if source.suffix in SUFFIXES:
         return read_table(source, {str(k): v for k, v in config.ingest.columns.items()}, progress)
     if root == sumo.ROOT:
-        return sumo.read_fcd(source, types, progress)
+        return sumo.read_fcd(source, types, progress, net)
     if root == commonroad.ROOT:
         return commonroad.read_commonroad(source, progress)
     what = f"its outermost element is {quoted(root, 40)}" if root else "it is no XML"

@@ -128,6 +128,57 @@ def test_bad_values_are_left_out_by_line(convert: Convert) -> None:
     assert lines == ["line 4", "line 5", "line 6", "line 8"]
 
 
+NET = """<net version="1.20"><edge id=":J_0" function="internal">
+<lane id=":J_0_0" index="0" speed="9" length="9" shape="100.00,0.00 105.00,0.00 110.00,4.00"/></edge>
+<edge id="E" from="A" to="J">
+<lane id="E_0" index="0" disallow="all" speed="9" length="9" shape="0,-6 100,-6"/>
+<lane id="E_1" index="1" allow="pedestrian" speed="9" length="9" width="2" shape="0,-3 100,-3"/>
+<lane id="E_2" index="2" disallow="tram rail" speed="9" length="9" width="4" shape="0,0,1 50,0,1 50,0 100,0"/>
+{more}</edge>
+<edge id=":w" function="walkingarea"><lane id=":w_0" speed="1" length="1" shape="0,0 1,0"/></edge></net>"""
+
+
+def test_the_lanes_of_a_network_go_into_the_log(convert: Convert, tmp_path: Path) -> None:
+    net = tmp_path / "net.xml"
+    net.write_text(NET.format(more=""))
+    out = tmp_path / "net.mcap"
+    done = convert_recording(DATA / "sumo_fcd.xml", out, Config(), [DATA / "sumo_types.rou.xml"], net=net)
+    assert (done.lanes, done.complete) == (2, True)
+    lanes = {line.lane_id: line for line in read_log(out).scene.lane_lines}
+    assert lanes.keys() == {":J_0_0", "E_2"}
+    assert lanes["E_2"].points_m.tolist() == [[0.0, 0.0], [50.0, 0.0], [100.0, 0.0]]
+    for side, points in ((2.0, lanes["E_2"].left_m), (-2.0, lanes["E_2"].right_m)):
+        np.testing.assert_allclose(points, lanes["E_2"].points_m + [0.0, side])
+    assert lanes[":J_0_0"].left_m is not None
+    np.testing.assert_allclose(lanes[":J_0_0"].left_m[0], [100.0, 1.6])
+    for bad in ("shape='0,0'", "shape='0,0 x,1'", "shape='0,0 1,1' width='0'", "shape='0 1,1'", ""):
+        net.write_text(NET.format(more=f'<lane id="bad" {bad}/>'))
+        done = convert_recording(DATA / "sumo_fcd.xml", out, Config(), [DATA / "sumo_types.rou.xml"], net=net)
+        assert not done.complete
+        (told,) = (p.detail for p in done.problems)
+        assert told.startswith("line 7: lane 'bad' is left out: ")
+
+
+def test_a_network_that_does_not_fit_is_refused(convert: Convert, tmp_path: Path) -> None:
+    net, out = tmp_path / "net.xml", tmp_path / "net.mcap"
+    for text, part in (
+        (NET.format(more="")[:300], "net.xml: line 5, column 1: unclosed token"),
+        ("<routes/>", "give a SUMO network"),
+        ("<net/>", "no lane on which cars drive"),
+    ):
+        net.write_text(text)
+        with pytest.raises(LogError, match=part):
+            convert_recording(DATA / "sumo_fcd.xml", out, Config(), net=net)
+        assert not out.exists()
+    with pytest.raises(UsageError, match="--net goes with SUMO's FCD"):
+        convert_recording(DATA / "commonroad_merge.xml", out, Config(), net=net)
+    net.write_text(NET.format(more=""))
+    geo = tmp_path / "geo.xml"
+    geo.write_text('<!-- <fcd-output.geo value="true"/> --><fcd-export/>')
+    with pytest.raises(LogError, match="are degrees"):
+        convert_recording(geo, out, Config(), net=net)
+
+
 # --- CommonRoad ----------------------------------------------------------------------------------
 
 
