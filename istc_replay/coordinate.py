@@ -50,7 +50,7 @@ ARRIVED_M = 1.0
 #: A scene whose vehicles do not arrive is tried again from other seeds so often.
 _RESEEDS = 2
 #: A plan keeps this from its lateral bound, at instants no farther apart than the second [m, s].
-_LATERAL_RESERVE_M, _LATERAL_STEP_S = 0.02, 0.05
+_LATERAL_RESERVE_M, _LATERAL_STEP_S = 0.02, 0.1
 #: Where vehicles have to be frozen, plans at so many of the finest time units are compared.
 _PARTIALS = 2
 
@@ -105,14 +105,17 @@ def plan_part(
     handed = handed_over(before, part.span[0])
     users = road_users(part.states)
     repairs = Repairs(planners.repairer)
-    first = build_scenario(part, config, users=users, handed=handed)
+    bounds: dict[str, LateralBound] = {}
+    first = build_scenario(part, config, users=users, handed=handed, bounds=bounds)
     # Finer time units leave more room to cars that are close: they are tried before any is frozen.
     finer = TRAFFIC_UNITS_S if first.traffic else (CROWDED_UNIT_S,) if first.small_crowd else ()
     units = [unit_s for unit_s in finer if config.window.unit_s == "auto" and unit_s < first.window.unit_s]
     tried: list[_Rounds] = []
     for unit_s in (None, *units):
         scenario = (
-            first if unit_s is None else build_scenario(part, config, unit_s, users=users, handed=handed)
+            first
+            if unit_s is None
+            else build_scenario(part, config, unit_s, users=users, handed=handed, bounds=bounds)
         )
         tried.append(_begin(scenario, config, planners.of(scenario), progress, repairs))
         if unit_s is not None:
@@ -228,6 +231,7 @@ class _Rounds:
     search: Search | None = None  # of the last round
     stuck: bool = False
     _known: dict[tuple[str, bytes], TrajectoryOutcome] = field(default_factory=dict)
+    _beside: dict[tuple[str, bytes], Lateral] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         self.ready.freeze(self.ready.overlaps)
@@ -430,8 +434,15 @@ class _Rounds:
         return bool(names)
 
     def _laterals(self, found: tuple[Trajectory, ...]) -> tuple[Lateral, ...]:
-        pairs = zip(found, self.ready.scenario.participants, strict=True)
-        return tuple(_lateral(t, p.lateral) for t, p in pairs if p.lateral is not None)
+        """How trajectories keep their lateral bounds; most are those of the round before."""
+        kept = []
+        for trajectory, participant in zip(found, self.ready.scenario.participants, strict=True):
+            key = (trajectory.vehicle_id, trajectory.states.tobytes())
+            if participant.lateral is not None and key not in self._beside:
+                self._beside[key] = _lateral(trajectory, participant.lateral)
+            if key in self._beside:
+                kept.append(self._beside[key])
+        return tuple(kept)
 
     def _strays(self, found: tuple[Trajectory, ...]) -> bool:
         """In traffic, have whoever goes too far sideways planned with more room, then freeze it."""

@@ -148,22 +148,43 @@ def _outline(poses: FloatArray, size_m: tuple[float, float]) -> FloatArray:
 
 
 def _beside(path_m: FloatArray, points_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Places of points (T, n, 2) on a path (P, 2), in fractional numbers, and offsets to its left."""
+    """Places of points (T, n, 2) on a path (P, 2), in fractional numbers, and offsets to its left.
+
+    The n points of a box are looked for about the place of their middle.
+    """
     ends = np.array([path_m[0] - path_m[1], path_m[-1] - path_m[-2]])
     ends *= _BEYOND_M / np.hypot(*ends.T)[:, None]
     line = np.vstack([path_m[0] + ends[0], path_m, path_m[-1] + ends[1]])
-    step = np.diff(line, axis=0)  # (P+1, 2)
-    points = points_m.reshape(-1, 2)
-    offset = points[:, None] - line[:-1]
-    share = np.clip((offset * step).sum(-1) / (step**2).sum(-1), 0.0, 1.0)
+    count, reach = len(line) - 1, 0
+    if points_m.shape[1] > 1:
+        spread = np.hypot(*np.moveaxis(points_m - points_m.mean(axis=1, keepdims=True), -1, 0))
+        reach = int(np.ceil(2.0 * spread.max() / _STEP_M)) + 1
+    if points_m.shape[1] <= 1 or count <= 2 * reach + 1:
+        near = np.broadcast_to(np.arange(count), (len(points_m), count))
+    else:
+        about = _nearest(line, points_m.mean(axis=1, keepdims=True), np.arange(count)[None])[0]
+        near = np.clip(about - reach, 0, count - 1 - 2 * reach) + np.arange(2 * reach + 1)
+    segment, share, away = _nearest(line, points_m, near)
+    way = line[segment + 1] - line[segment]
+    left = np.sign(way[..., 0] * away[..., 1] - way[..., 1] * away[..., 0])
+    place = np.clip(segment - 1 + share, 0.0, len(path_m) - 1.0)
+    return place, left * np.hypot(away[..., 0], away[..., 1])
+
+
+def _nearest(
+    line_m: FloatArray, points_m: FloatArray, near: NDArray[np.int64]
+) -> tuple[NDArray[np.int64], FloatArray, FloatArray]:
+    """Of segments (T, k) of a line, the nearest to points (T, n, 2), the share of it, the way off it."""
+    start = line_m[near][:, None]  # (T, 1, k, 2)
+    step = line_m[near + 1][:, None] - start
+    offset = points_m[:, :, None] - start  # (T, n, k, 2)
+    dot = offset[..., 0] * step[..., 0] + offset[..., 1] * step[..., 1]
+    share = np.clip(dot / (step[..., 0] ** 2 + step[..., 1] ** 2), 0.0, 1.0)
     apart = offset - share[..., None] * step
-    rows = np.arange(len(points))
-    nearest = np.argmin((apart**2).sum(-1), axis=1)
-    away, way = apart[rows, nearest], step[nearest]
-    left = np.sign(way[:, 0] * away[:, 1] - way[:, 1] * away[:, 0]) * np.hypot(*away.T)
-    place = np.clip(nearest - 1 + share[rows, nearest], 0.0, len(path_m) - 1.0)
-    shape = points_m.shape[:-1]
-    return place.reshape(shape), left.reshape(shape)
+    best = np.argmin(apart[..., 0] ** 2 + apart[..., 1] ** 2, axis=-1)[..., None]  # (T, n, 1)
+    segment = np.take_along_axis(np.broadcast_to(near[:, None], share.shape), best, axis=-1)[..., 0]
+    share = np.take_along_axis(share, best, axis=-1)[..., 0]
+    return segment, share, np.take_along_axis(apart, best[..., None], axis=2)[:, :, 0]
 
 
 def _at(values: FloatArray, place: FloatArray) -> FloatArray:

@@ -49,14 +49,21 @@ class Road:
             Distances [m], NaN where nothing tells of the road on that side. They end at the first edge, or
             where no lane goes on.
         """
-        free = _between_lanes([_crossings(each, poses, closed=True) for each in self.outlines], len(poses))
-        for edge in self.edges:
+        outlines, edges = (_meeting(lines, poses) for lines in (self.outlines, self.edges))
+        free = _between_lanes([_crossings(each, poses, closed=True) for each in outlines], len(poses))
+        for edge in edges:
             at = _crossings(edge, poses, closed=False)
             left = np.min(at, axis=1, where=at >= 0.0, initial=np.inf)
             right = np.min(-at, axis=1, where=at <= 0.0, initial=np.inf)
             nearest = np.stack([left, right], axis=-1)
             free = np.fmin(free, np.where(nearest <= _REACH_M, nearest, np.nan))
         return free
+
+
+def _meeting(lines: tuple[FloatArray, ...], poses: FloatArray) -> list[FloatArray]:
+    """Those of the lines that are near some pose."""
+    low, high = poses[:, :2].min(axis=0) - _REACH_M, poses[:, :2].max(axis=0) + _REACH_M
+    return [line for line in lines if (line.max(axis=0) >= low).all() and (line.min(axis=0) <= high).all()]
 
 
 def scene_near(scene: StaticScene, points_m: FloatArray) -> StaticScene:

@@ -46,7 +46,6 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
 
     from istc_replay.config import Config, VehiclesConfig
-    from istc_replay.road import Road
 
 #: Reasons of exclusion that tell of a road user whose motion is well known.
 AS_RECORDED = ("not_a_vehicle", "uncooperative")
@@ -75,27 +74,30 @@ def build_scenario(
     *,
     users: Mapping[str, RoadUser] | None = None,
     handed: Mapping[str, Handed] | None = None,
+    bounds: dict[str, LateralBound] | None = None,
 ) -> Scenario:
     """Build the scenario of one window.
 
     With `unit_s` unset the time unit is the configured one, in traffic the calm one where the
     recording has no conflict at it. `users` are those of the part, where they are known already; `handed`
-    vehicles start where the plan of the window before has led them.
+    vehicles start where the plan of the window before has led them. `bounds` keeps lateral bounds (map
+    frame) for other time units.
     """
+    known: dict[str, LateralBound] = {} if bounds is None else bounds
     if users is None:
         users = road_users(part.states)
     if unit_s is None:
         unit_s = first_unit_s(config.window, traffic=part.traffic)
         for longer in CALM_UNITS_S if part.traffic and config.window.unit_s == "auto" else ():
             if part.span[1] >= seconds_to_ns(longer):
-                calm = _Builder.of(part, users, config, longer, handed or {})
+                calm = _Builder.of(part, users, config, longer, handed or {}, known)
                 if calm.calm():
                     return calm.scenario()
-        scenario = _Builder.of(part, users, config, unit_s, handed or {}).scenario()
+        scenario = _Builder.of(part, users, config, unit_s, handed or {}, known).scenario()
         if not scenario.crowded or config.window.unit_s != "auto" or config.corridors.formulation == "paper":
             return scenario
         unit_s = SMALL_CROWD_UNIT_S if scenario.small_crowd else CROWDED_UNIT_S
-    return _Builder.of(part, users, config, unit_s, handed or {}).scenario()
+    return _Builder.of(part, users, config, unit_s, handed or {}, known).scenario()
 
 
 @dataclass(slots=True)
@@ -107,9 +109,9 @@ class _Builder:
     window: Window
     users: dict[str, RoadUser]
     handed: Mapping[str, Handed]
+    bounds: dict[str, LateralBound]
     usable: dict[str, UsableTrack] = field(default_factory=dict)
     excluded: dict[str, Exclusion] = field(default_factory=dict)
-    road: Road | None = None
 
     @classmethod
     def of(
@@ -119,6 +121,7 @@ class _Builder:
         config: Config,
         unit_s: float,
         handed: Mapping[str, Handed],
+        bounds: dict[str, LateralBound],
     ) -> _Builder:
         """Sort the road users of a window and choose its frame."""
         start_ns, length_ns, index = part.span
@@ -127,7 +130,7 @@ class _Builder:
         here = (name for name, user in users.items() if user.present(start_ns, end_ns))
         present = {name: users[name] for name in sorted(here, key=_natural)}
         window = Window(index, start_ns, end_ns, unit_s, int(units), _local_frame(present.values()))
-        builder = cls(part, config, window, present, handed)
+        builder = cls(part, config, window, present, handed, bounds)
         builder.sort()
         if config.window.frame == "road" or (config.window.frame == "auto" and part.traffic):
             builder.turn(road_yaw(builder.bodies(), window.units, unit_s))
@@ -198,7 +201,7 @@ class _Builder:
 
     def scenario(self) -> Scenario:
         """The scenario of the window."""
-        window, self.road = self.window, self.part.road
+        window = self.window
         participants = tuple(self.participant(vehicle_id) for vehicle_id in self.usable)
         moving = (self.obstacle(vehicle_id) for vehicle_id in self.users)
         return Scenario(
@@ -278,9 +281,11 @@ class _Builder:
 
     def lateral(self, vehicle_id: str, size: Dimensions) -> LateralBound:
         """How far it may leave its recorded path sideways."""
-        box, settings = (size.length_m, size.width_m), self.config.corridors
-        bound = lateral_bound(self.users[vehicle_id].poses, box, self.road, settings.lateral_m)
-        return in_frame(bound, self.window.frame)
+        if vehicle_id not in self.bounds:
+            box, poses = (size.length_m, size.width_m), self.users[vehicle_id].poses
+            most = self.config.corridors.lateral_m
+            self.bounds[vehicle_id] = lateral_bound(poses, box, self.part.road, most)
+        return in_frame(self.bounds[vehicle_id], self.window.frame)
 
 
 def _natural(vehicle_id: str) -> tuple[int, str]:

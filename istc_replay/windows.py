@@ -47,7 +47,8 @@ class LogPart:
     """Everything of a log that one window's plan follows from, besides the configuration.
 
     `states` are those in the window and just outside, in the log's order. `traffic` and `parked`
-    tell what only the whole log knows: by which rules it is planned, and who never moves in it.
+    tell what only the whole log knows: by which rules it is planned, and who never moves in it. `road` is
+    what is told of the road about the window.
     """
 
     span: Span
@@ -55,11 +56,7 @@ class LogPart:
     scene: StaticScene
     traffic: bool
     parked: frozenset[str]
-
-    @property
-    def road(self) -> Road | None:
-        """What is told of the road about the window."""
-        return Road.of(self.scene)
+    road: Road | None = None
 
 
 def check_states(log: Log) -> None:
@@ -179,7 +176,7 @@ def log_parts(log: Log, config: Config, indices: Iterable[int] | None = None) ->
         end = int(np.searchsorted(times, start_ns + length_ns + margin, side="right"))
         states = ordered.slice(first, end - first).sort("_place").drop("_place")
         near = scene_near(log.scene, states.select("x_m", "y_m").to_numpy())
-        yield LogPart(spans[index], states, near, traffic, parked)
+        yield LogPart(spans[index], states, near, traffic, parked, Road.of(near) if traffic else None)
 
 
 def _parked(states: pl.DataFrame, config: WindowConfig) -> frozenset[str]:

@@ -37,15 +37,16 @@ def lateral_kept(case: Case) -> Certificate:
     """
     best, detail, unknown = Least(), "", []
     rows = np.nonzero(case.motion.judged)[0].tolist() if case.plan.traffic else []
-    for row in rows:
+    paths = {row: _path(case, case.tracks.get(case.driven[row])) for row in rows}
+    points = np.concatenate([path[:, :2] for path in paths.values()]) if rows else np.empty((0, 2))
+    road = Road.of(scene_near(case.scene, points)) if len(points) else None
+    for row, path in paths.items():
         name = case.driven[row]
         times, boxes = _boxes(case, row)
-        path = _path(case, case.tracks.get(name))
         if not len(path):
             unknown.append(name)
             continue
         size = (float(boxes[0, 3]), float(boxes[0, 4]))
-        road = Road.of(scene_near(case.scene, path[:, :2]))
         settings = case.config.corridors
         bound = lateral_bound(path, size, road, settings.lateral_m, AT_EDGE_M + _EDGE_DOUBT_M)
         poses = np.column_stack(
