@@ -172,7 +172,8 @@ class _Build:
             if kind.slack is None:
                 parts.append(ca.vec(values))
                 continue
-            give = ca.repmat(self._slack[kind.slack.tolist()].T, values.size1(), 1)
+            give = ca.reshape(self._slack[kind.slack.tolist()], 1, len(kind.slack))
+            give = ca.repmat(give, values.size1(), 1)
             parts += [ca.vec(values + give), ca.vec(values - give)]
         return ca.vertcat(*parts)
 

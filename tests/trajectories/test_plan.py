@@ -159,6 +159,17 @@ def test_a_jump_sideways_cannot_be_driven_and_names_its_unit(lab: SimpleNamespac
     assert outcome.records[1].status is SolveStatus.OPTIMAL
 
 
+def test_a_corridor_of_one_cube_that_asks_for_too_much_is_undrivable(lab: SimpleNamespace) -> None:
+    course = lab.course_along(np.array([[0.0, 0.0], [0.1, 0.0]]), np.zeros(2), 0.0)
+    moved = replace(
+        course, start=replace(course.start, speed_mps=9.9), cubes=np.array([[-2.0, 2.2, -1.0, 1.0]])
+    )
+    outcome = lab.plan(moved)
+    assert outcome.undrivable.unit == 0
+    assert outcome.undrivable.slack_m > 1.0
+    assert [record.stage for record in outcome.records] == ["nlp", "soft"]
+
+
 def test_cubes_that_do_not_meet_are_undrivable_where_they_part(lab: SimpleNamespace) -> None:
     course = straight(lab)
     course.cubes[3:, 2:] += 6.0
