@@ -63,6 +63,26 @@ def test_every_function_and_test_that_the_equations_name_exists() -> None:
         assert (ROOT / test.split("(")[0].strip()).exists(), test
 
 
+def test_every_rule_of_recorded_traffic_names_tests_that_exist() -> None:
+    rules = (
+        DOCS["method.md"].partition("## Recorded traffic")[2].partition("### What coordination changed")[0]
+    )
+    told = DOCS["equations.md"].partition("## Rules of recorded traffic")[2]
+    numbers = re.findall(r"^(\d+)\. \*\*", rules, flags=re.MULTILINE)
+    rows = {
+        row.split("|")[1].strip(): row.split("|")[4] for row in told.splitlines() if re.match(r"\| \d+ ", row)
+    }
+    # The last tells only what is not done.
+    assert list(rows) == [str(n) for n in range(1, len(rows) + 1)]
+    assert set(rows) >= {n for n in numbers if int(n) <= 10}
+    for row in rows.values():
+        for file, names in re.findall(r"(tests/\S+\.py) ((?:`test_\w+`(?:, )?)+)", row):
+            source = (ROOT / file).read_text()
+            for name in re.findall(r"`(test_\w+)`", names):
+                assert f"def {name}(" in source, (file, name)
+        assert "`test_" in row
+
+
 def test_every_key_of_the_configuration_is_explained() -> None:
     text = render_config(Config(), explain=True)
     for key in keys(Config):

@@ -17,7 +17,16 @@ from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
 from istc_replay.config import VehiclesConfig
-from istc_replay.datatypes import LaneLine, Log, MapBounds, Result, StaticScene, WindowPlan, read_only
+from istc_replay.datatypes import (
+    LaneLine,
+    Log,
+    MapBounds,
+    Result,
+    RoadEdge,
+    StaticScene,
+    WindowPlan,
+    read_only,
+)
 from istc_replay.export import film, foxglove
 from istc_replay.export.foxglove import foxglove_messages
 from istc_replay.export.result_mcap import result_bytes
@@ -152,13 +161,22 @@ def test_paths_are_the_planned_poses(shown: Messages, synthetic_result: Result) 
 
 def test_lane_lines_obstacles_and_bounds_are_drawn(synthetic_plan: Plan) -> None:
     log, plans = synthetic_plan
-    scene = dataclasses.replace(log.scene, bounds=MapBounds(-1.0, 2.0, -3.0, 4.0))
+    left, middle, right = (read_only([[0.0, y], [9.0, y]]) for y in (2.0, 0.0, -2.0))
+    edged, kerb = (
+        LaneLine("edged", middle, None, left, right),
+        RoadEdge("kerb", read_only([[0.0, 3.0], [5.0, 3.0]])),
+    )
+    bounds = MapBounds(-1.0, 2.0, -3.0, 4.0)
+    lanes = (*log.scene.lane_lines, edged)
+    scene = dataclasses.replace(log.scene, bounds=bounds, lane_lines=lanes, road_edges=(kerb,))
     (_, first), *_ = made(dataclasses.replace(log, scene=scene), plans)["/istc/scene"]
     entities = {entity.id: entity for entity in first.entities}
     for index, lane in enumerate(log.scene.lane_lines):
         points = entities[f"lane/{index}"].lines[0].points
         assert [(p.x, p.y) for p in points] == list(map(tuple, lane.points_m.tolist()))
     assert len(entities["bounds"].lines[0].points) == 4
+    edges = [[[p.x, p.y] for p in line.points] for line in entities["road"].lines]
+    assert edges == [each.tolist() for each in (left, right, kerb.points_m)]
     assert yaw(entities["standing/block"].cubes[0].pose.orientation) == pytest.approx(0.3)
     assert (entities["standing/block"].cubes[0].size.x, entities["standing/block"].cubes[0].size.y) == (
         6.0,
