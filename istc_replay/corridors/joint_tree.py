@@ -80,7 +80,7 @@ def prove(
         tree = JointTree(problem, qp, part, z, slack)
         size = sum(2 * problem.blocks[vehicle].units for vehicle in part)
         share = min(1.0, (_USUAL / size) ** 4) / len(parts)
-        if len(parts) == 1:
+        if len(parts) == 1 and joint_budget:
             tree.try_options(binding_choices(problem, z))
         tree.run(max(1, round(share * node_budget)), round(share * joint_budget))
         trees.append(tree)
@@ -152,6 +152,7 @@ class JointTree:
 
     def run(self, node_budget: int, joint_budget: int) -> None:
         """Search, best first, for so many QPs of pivotal points and of points and cubes."""
+        joint_budget += self.joint_qps
         while self._queue and self._queue[0].bound < self.cutoff:
             if self.nodes >= node_budget or self.joint_qps > joint_budget:
                 return

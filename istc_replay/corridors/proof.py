@@ -29,6 +29,8 @@ _GAP_SHARE = 0.25
 #: times s. It decides how good a bound is, not whether it is one.
 _DRIFT_COST = 0.2
 _LEAST_SHARE = 1e-3
+#: A quick proof has this part of the nodes.
+_QUICK_SHARE = 20
 #: Probing decides a half of the binaries at most, or little more.
 _PROBED = 3
 
@@ -57,12 +59,17 @@ def bound_by_parts(search: Search) -> None:
     search.record("relaxation", "piqp", SolveStatus.FEASIBLE if known else SolveStatus.ERROR, began)
 
 
-def prove_jointly(search: Search, config: CorridorsConfig) -> None:
-    """Bound eq. (4) by its tree, best first; what it finds on the way is a new incumbent."""
+def prove_jointly(search: Search, config: CorridorsConfig, *, quick: bool = False) -> None:
+    """Bound eq. (4) by its tree, best first; what it finds on the way is a new incumbent.
+
+    A `quick` proof has a small share of the budget, and bounds by eq. (3) alone.
+    """
     if search.z is None:
         return
     began = time.perf_counter()
     budgets = config.tree_proof_node_budget, config.joint_qp_budget
+    if quick:
+        budgets = config.tree_proof_node_budget // _QUICK_SHARE, 0
     tree = joint_tree.prove(
         search.problem, search.z, config.gap_tolerance, *budgets, config.group_vehicles_max
     )

@@ -117,6 +117,8 @@ def _prove(search: Search, scenario: Scenario, config: CorridorsConfig) -> None:
     paper = config.formulation == "paper"
     certified = config.mode == "certified" or (search.z is None and not scenario.traffic)
     proof.bound_by_parts(search)
+    if not certified and search.frames and not (scenario.traffic or scenario.crowded):
+        proof.prove_jointly(search, config, quick=True)
     if not certified or search.closed(config.gap_tolerance):
         return
     problem = search.problem

@@ -10,8 +10,11 @@ from typing import Any
 import numpy as np
 import pytest
 
+from istc_replay.corridors.formulation import default_limits
 from istc_replay.corridors.polish import polish
 from istc_replay.corridors.problem import CONSTANT, CorridorProblem
+from istc_replay.corridors.seeded import Seeds
+from istc_replay.corridors.solve import find_corridors, prove_corridors
 from istc_replay.datatypes import Corridors, SolveStatus
 
 #: Leaves the proof to CBC.
@@ -85,6 +88,21 @@ def test_the_optimum_of_random_crossings_is_scips(seed: int, crossing: Callable[
         assert solved.objective == pytest.approx(exact, rel=1e-3, abs=1e-3)
         assert solved.bound is not None
         assert solved.bound <= exact + 1e-5 * max(1.0, abs(exact))
+
+
+@pytest.mark.parametrize("seed", [0, 2, 7, 9, 11, 13, 17, 19])
+def test_the_optimum_of_the_rows_last_written_is_scips_too(seed: int, crossing: Callable[..., Any]) -> None:
+    case = crossing(seed, vehicles=2 + seed % 2, units=3, obstacle=seed % 4 == 3)
+    limits = {p.vehicle_id: default_limits(case.config) for p in case.scenario.participants}
+    found, search = find_corridors(case.scenario, case.guidance, case.config, limits, 10.0, Seeds())
+    assert search is not None
+    assert found.frames
+    assert found.objective < case.solved(frame_rounds=0).objective
+    proven = prove_corridors(search, case.scenario, case.config)
+    exact = scip_optimum(search.problem)
+    assert proven.status is SolveStatus.OPTIMAL
+    assert proven.objective == pytest.approx(exact, rel=1e-3, abs=1e-3)
+    assert proven.bound <= exact + 1e-5 * max(1.0, abs(exact))
 
 
 @pytest.mark.parametrize("seed", [0, 1, 4, 6, 8, 10])
