@@ -73,10 +73,13 @@ def _measured(stage: Stage, focus: Sequence[str], whole: Survey) -> tuple[Stage,
     return cast(stage, found, focus, whole), found
 
 
-def lay_out_parts(
-    result: Result, config: ViewConfig, focus: Sequence[str], parts: Parts
+def laid_out(
+    result: Result, config: ViewConfig, focus: Sequence[str], parts: Parts | None
 ) -> Iterator[tuple[Stage, list[Clearance]]]:
     """Lay a result out part by part, as the whole would be; goes through the parts twice."""
+    if parts is None:
+        yield lay_out(result, config, focus)
+        return
     whole = Survey()
     for stage in _stages(result, config, parts):
         whole.add(stage, clearances(stage))
@@ -186,12 +189,8 @@ def send_result(
         After each part, to take what is sent.
     """
     rr.send_recording_name(label(PurePath(result.summary["input"]["path"]).name), recording=recording)
-    if parts is None:
-        rr.send_chunks(view_chunks(result, config, focus), recording=recording)
-        yield
-        return
     sent: set[bytes] = set()
-    for stage, found in lay_out_parts(result, config, focus, parts):
+    for stage, found in laid_out(result, config, focus, parts):
         rr.send_chunks(_unsent(stage_chunks(stage, found), sent), recording=recording)
         yield
 

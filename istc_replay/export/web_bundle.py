@@ -17,8 +17,8 @@ from istc_replay.config import ViewConfig
 from istc_replay.datatypes import Result
 from istc_replay.errors import ExportError
 from istc_replay.export.atomic import atomic_file, prepare_folder
-from istc_replay.export.rerun_events import all_events
-from istc_replay.export.rerun_view import Opening, lay_out, write_view
+from istc_replay.export.rerun_events import Event, all_events
+from istc_replay.export.rerun_view import Opening, Parts, laid_out, write_view
 from istc_replay.export.rerun_viewer import LOCAL, free_port, rerun_command
 from istc_replay.export.web_page import view_page
 
@@ -33,6 +33,7 @@ def write_bundle(
     opening: Opening,
     instant_ns: int | None = None,
     report: Path | None = None,
+    parts: Parts | None = None,
 ) -> None:
     """Write index.html, the viewer and view.rrd to a folder.
 
@@ -42,6 +43,8 @@ def write_bundle(
         Where it opens, from the first window's start; there, otherwise.
     report : Path, optional
         A report to go along, where it exists.
+    parts : callable, optional
+        The result's parts, where it is without its states.
 
     Raises
     ------
@@ -54,14 +57,16 @@ def write_bundle(
     own = resources.files("istc_replay") / "data" / "web"
     for name in ("view.js", "view.css"):
         _write(folder / name, (own / name).read_bytes())
-    write_view(result, config, folder / "view.rrd", opening)
+    write_view(result, config, folder / "view.rrd", opening, parts)
     with_report = report is not None and report.is_file()
     if report is not None and with_report and report.resolve() != (folder / "report.html").resolve():
         with atomic_file(folder / "report.html") as file:
             shutil.copyfile(report, file)
-    stage, found = lay_out(result, config, opening.focus)
-    origin = stage.clock.origin_ns
-    page = view_page(result, all_events(stage, found), origin, instant_ns or 0, report=with_report)
+    origin, events = 0, list[Event]()
+    for stage, found in laid_out(result, config, opening.focus, parts):
+        origin = stage.clock.origin_ns
+        events += all_events(stage, found)
+    page = view_page(result, sorted(events), origin, instant_ns or 0, report=with_report)
     _write(folder / "index.html", page.encode())
 
 

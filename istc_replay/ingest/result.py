@@ -102,8 +102,13 @@ def is_result(path: Path) -> bool:
     return any(record.name == "istc.provenance" for record in log.metadata)
 
 
-def load_result_folder(path: Path) -> Result:
-    """Read a result from its folder, or from the result.mcap in it.
+def result_file(path: Path) -> Path:
+    """The result.mcap of a result's folder, or the file itself."""
+    return path / "result.mcap" if path.is_dir() else path
+
+
+def load_result_folder(path: Path, *, states: bool = True) -> Result:
+    """Read a result from its folder, or from the result.mcap in it; `states` as of `read_result`.
 
     Where a summary.json stands beside the file and tells of this very result, it takes the place
     of the attached one and lends its wall-clock times to the solves table. A summary of another
@@ -114,8 +119,8 @@ def load_result_folder(path: Path) -> Result:
     LogError
         As `read_result` does.
     """
-    file = path / "result.mcap" if path.is_dir() else path
-    result = read_result(file)
+    file = result_file(path)
+    result = read_result(file, states=states)
     summary = _read_summary(file.parent / "summary.json")
     if summary is None or repeatable_summary(summary) != result.summary:
         return result

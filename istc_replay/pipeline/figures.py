@@ -13,16 +13,17 @@ def write_figures(source: Path, folder: Path, formats: Sequence[Literal["png", "
     """Draw every window of a result (its folder or result.mcap); returns the files."""
     from istc_replay.export.atomic import atomic_file, prepare_folder
     from istc_replay.export.figures import draw_figures, figure_bytes
-    from istc_replay.ingest.result import load_result_folder
+    from istc_replay.pipeline.reading import read_for_show
 
-    result = load_result_folder(source)
+    reading = read_for_show(source)
     prepare_folder(folder)
     files = []
-    for window in result.summary["windows"]:
-        for name, figure in draw_figures(result, window["index"]).items():
-            for kind in formats:
-                path = folder / f"window_{window['index']}_{name}.{kind}"
-                with atomic_file(path) as file:
-                    file.write_bytes(figure_bytes(figure, kind))
-                files.append(path)
+    for part in reading.each():
+        for window in part.summary["windows"]:
+            for name, figure in draw_figures(part, window["index"]).items():
+                for kind in formats:
+                    path = folder / f"window_{window['index']}_{name}.{kind}"
+                    with atomic_file(path) as file:
+                        file.write_bytes(figure_bytes(figure, kind))
+                    files.append(path)
     return files

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from istc_replay.ingest.result import read_result
+from istc_replay.ingest.result import load_result_folder, read_result, result_file
 from istc_replay.ingest.result_states import result_parts, window_states
 
 if TYPE_CHECKING:
@@ -25,7 +25,7 @@ PART_WINDOWS = 16
 class Reading:
     """A result to be shown: `result` is without its states where there are `parts`."""
 
-    source: Path | bytes
+    source: Path
     result: Result
     parts: Callable[[], Iterator[Result]] | None = None
 
@@ -34,19 +34,28 @@ class Reading:
         """Gives the states of some windows, where the result is without them."""
         return None if self.parts is None else self._states
 
+    def each(self) -> Iterator[Result]:
+        """The parts of the result, each with some of its windows."""
+        return iter([self.result]) if self.parts is None else self.parts()
+
+    def vehicles(self) -> set[str]:
+        """Everybody of whom there is a state."""
+        return {vehicle for part in self.each() for vehicle in part.states["vehicle_id"].unique()}
+
     def _states(self, windows: Sequence[int]) -> pl.DataFrame:
         return window_states(self.source, self.result, windows)
 
 
-def read_for_show(source: Path | bytes) -> Reading:
-    """Read a result to show it; memory does not grow with its states where it is long.
+def read_for_show(source: Path) -> Reading:
+    """Read a result's folder or file to show it; memory does not grow with its states where it is long.
 
     Raises
     ------
     LogError
         As `read_result` does.
     """
-    head = read_result(source, states=False)
-    if len(head.summary["windows"]) <= PART_WINDOWS:
-        return Reading(source, read_result(source))
-    return Reading(source, head, lambda: result_parts(source, head, PART_WINDOWS))
+    file = result_file(source)
+    head = load_result_folder(source, states=False)
+    if len(head.summary.get("windows") or ()) <= PART_WINDOWS:
+        return Reading(file, replace(head, states=read_result(file).states))
+    return Reading(file, head, lambda: result_parts(file, head, PART_WINDOWS))

@@ -308,7 +308,7 @@ def run_log(
     write_run(done, folder, config, path.name, stages)
     clear_work(folder)
     if live is not None:
-        live.finish(read_for_show(done.source), config)
+        live.finish(read_for_show(folder / RESULT), config)
     return done
 
 
@@ -332,7 +332,7 @@ def write_run(
 
     timing = stages or Stages()
     with timing.stage("reading_back"):
-        found = read_for_show(done.source)
+        found = read_for_show(folder / RESULT)
     if "view.rrd" in products:
         with timing.stage("view_rrd"):
             from istc_replay.export.rerun_view import write_view

@@ -18,7 +18,7 @@ from istc_replay.export.rerun_view import Opening, write_view
 from istc_replay.export.rerun_viewer import send_view, start_viewer
 from istc_replay.export.web_bundle import write_bundle
 from istc_replay.export.web_server import folder_server
-from istc_replay.ingest.result import load_result_folder
+from istc_replay.pipeline.reading import Reading, read_for_show
 from istc_replay.units import NS_PER_S
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ _NAMED = 8
 class View:
     """A result to be looked at: `opening` says how it opens, `instant_ns` where, from the first window on."""
 
-    result: Result
+    reading: Reading
     folder: Path
     config: ViewConfig
     opening: Opening
@@ -41,16 +41,18 @@ class View:
 
     def save(self, path: Path) -> None:
         """Write it as an .rrd file."""
-        write_view(self.result, self.config, path, self.opening)
+        write_view(self.reading.result, self.config, path, self.opening, self.reading.parts)
 
     def bundle(self, folder: Path) -> None:
         """Write it as a folder for any static web server."""
         report = self.folder / "report.html"
-        write_bundle(self.result, self.config, folder, self.opening, self.instant_ns, report)
+        result, parts = self.reading.result, self.reading.parts
+        write_bundle(result, self.config, folder, self.opening, self.instant_ns, report, parts)
 
     def show(self, url: str | None = None) -> None:
         """Show it in the viewer at an address, or in a new one."""
-        send_view(self.result, self.config, url or start_viewer(), self.opening, self.instant_ns)
+        result, parts = self.reading.result, self.reading.parts
+        send_view(result, self.config, url or start_viewer(), self.opening, self.instant_ns, parts)
 
     @contextmanager
     def served(self, port: int = 0) -> Iterator[ThreadingHTTPServer]:
@@ -84,7 +86,8 @@ def open_view(
     UsageError
         If the result has no such instant, finding or vehicle.
     """
-    result = load_result_folder(source)
+    reading = read_for_show(source)
+    result = reading.result
     config = parse_config(result.config_toml, f"{source}: config.toml").view
     origin_ns, first_ns, last_ns = _times(result)
     instant_ns: int | None = None
@@ -92,7 +95,7 @@ def open_view(
     if finding is not None:
         worst_ns, involved = _finding(result, finding)
         instant_ns, vehicles = worst_ns, vehicles or involved
-    known = set(result.states["vehicle_id"])
+    known = reading.vehicles() if vehicles else set()
     for vehicle_id in vehicles:
         if vehicle_id not in known:
             raise UsageError(f"--focus {vehicle_id}: no such vehicle; there are {_some(sorted(known))}")
@@ -102,7 +105,7 @@ def open_view(
         span = f"{(first_ns - origin_ns) / NS_PER_S:g} to {(last_ns - origin_ns) / NS_PER_S:g} s"
         raise UsageError(f"--at {at}: the result has nothing there; it holds {span}")
     return View(
-        result=result,
+        reading=reading,
         folder=source if source.is_dir() else source.parent,
         config=config,
         opening=Opening(vehicles, close_up=bool(vehicles)),

@@ -14,6 +14,7 @@ from istc_replay.datatypes import Result
 from istc_replay.errors import ExportError, LogError, UsageError
 from istc_replay.export.rerun_view import view_chunks
 from istc_replay.pipeline import view as pipeline_view
+from istc_replay.pipeline.reading import Reading
 from istc_replay.pipeline.view import open_view
 from istc_replay.states import FINDINGS_SCHEMA, conform
 
@@ -84,7 +85,7 @@ def test_a_finding_opens_where_it_is_worst_and_shows_its_vehicles(
     ]
     findings = conform(pl.DataFrame(rows), FINDINGS_SCHEMA)
     found = replace(synthetic_result, findings=findings)
-    monkeypatch.setattr(pipeline_view, "load_result_folder", lambda _: found)
+    monkeypatch.setattr(pipeline_view, "read_for_show", lambda path: Reading(path, found))
     opened = open_view(folder, finding="ac")
     assert opened.instant_ns == 2 * S
     assert opened.opening.focus == ("car 2", "car 3")
