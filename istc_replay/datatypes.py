@@ -93,7 +93,7 @@ class LaneLine:
     """A lane's centre line (P, 2) in driving order [m, map frame]; `vehicle_id` says whose intent it is.
 
     `left_m` (L, 2) and `right_m` (R, 2) are its edges in driving order: both, or None where they are
-    not known. What lies between the edges of all lanes is the road.
+    not known. What lies between the edges of all lanes, and in areas, is the road.
     """
 
     lane_id: str
@@ -105,9 +105,17 @@ class LaneLine:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RoadEdge:
-    """What no vehicle drives across, a polyline (P, 2) [m, map frame]; an area's outline is closed."""
+    """What no vehicle drives across, a polyline (P, 2) [m, map frame]."""
 
     edge_id: str
+    points_m: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RoadArea:
+    """A part of the road told by its outline (P, 2) [m, map frame]; the last point joins the first."""
+
+    area_id: str
     points_m: FloatArray
 
 
@@ -144,19 +152,21 @@ class VehicleInfo:
 
 @dataclass(frozen=True, slots=True)
 class StaticScene:
-    """Lane lines, obstacles, bounds, per-vehicle facts and road edges of a log."""
+    """Lane lines, obstacles, bounds, per-vehicle facts, road edges and road areas of a log."""
 
     lane_lines: tuple[LaneLine, ...] = ()
     obstacles: tuple[SceneObstacle, ...] = ()
     bounds: MapBounds | None = None
     vehicles: tuple[VehicleInfo, ...] = ()
     road_edges: tuple[RoadEdge, ...] = ()
+    road_areas: tuple[RoadArea, ...] = ()
 
     @property
     def edges_m(self) -> list[FloatArray]:
-        """All polylines (P, 2) that edge the road: those of its lanes, and what nobody drives across."""
+        """All polylines (P, 2) that edge the road: of its lanes and areas, and what nobody drives across."""
         sides = [side for line in self.lane_lines for side in (line.left_m, line.right_m)]
-        return [side for side in sides if side is not None] + [edge.points_m for edge in self.road_edges]
+        known = [side for side in sides if side is not None] + [edge.points_m for edge in self.road_edges]
+        return known + [np.vstack([area.points_m, area.points_m[:1]]) for area in self.road_areas]
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,4 +1,4 @@
-"""The road: what lies between the edges of all lanes, and edges that nobody drives across."""
+"""The road: what lies between the edges of all lanes and in areas, up to edges that nobody drives across."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ _REACH_M = 30.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Road:
-    """Outlines (N, 2) of lanes, closed by their last side, and edges (N, 2) [m, map frame]."""
+    """Outlines (N, 2) of lanes and areas, closed by their last side, and edges (N, 2) [m, map frame]."""
 
     outlines: tuple[FloatArray, ...]
     edges: tuple[FloatArray, ...]
@@ -37,6 +37,7 @@ class Road:
             if line.left_m is not None and line.right_m is not None
             if _sound(line.left_m) and _sound(line.right_m)
         ]
+        outlines += [area.points_m for area in scene.road_areas if _sound(area.points_m)]
         edges = [edge.points_m for edge in scene.road_edges if _sound(edge.points_m)]
         return cls(tuple(outlines), tuple(edges)) if outlines or edges else None
 
@@ -47,7 +48,7 @@ class Road:
         -------
         (S, 2) array
             Distances [m], NaN where nothing tells of the road on that side. They end at the first edge, or
-            where no lane goes on.
+            where neither a lane nor an area goes on.
         """
         outlines, edges = (_meeting(lines, poses) for lines in (self.outlines, self.edges))
         free = _between_lanes([_crossings(each, poses, closed=True) for each in outlines], len(poses))
@@ -69,7 +70,7 @@ def _meeting(lines: tuple[FloatArray, ...], poses: FloatArray) -> list[FloatArra
 def scene_near(scene: StaticScene, points_m: FloatArray) -> StaticScene:
     """A scene with only those lanes and edges that are near points (S, 2), and those of intents."""
     points = points_m[np.isfinite(points_m).all(axis=1)]
-    if not len(points) or not (scene.lane_lines or scene.road_edges):
+    if not len(points) or not (scene.lane_lines or scene.road_edges or scene.road_areas):
         return scene
     low, high = points.min(axis=0) - _REACH_M, points.max(axis=0) + _REACH_M
 
@@ -83,7 +84,8 @@ def scene_near(scene: StaticScene, points_m: FloatArray) -> StaticScene:
         if line.vehicle_id or near((line.points_m, line.left_m, line.right_m))
     )
     edges = (edge for edge in scene.road_edges if near((edge.points_m,)))
-    return replace(scene, lane_lines=tuple(lanes), road_edges=tuple(edges))
+    areas = (area for area in scene.road_areas if near((area.points_m,)))
+    return replace(scene, lane_lines=tuple(lanes), road_edges=tuple(edges), road_areas=tuple(areas))
 
 
 def _sound(points_m: FloatArray) -> bool:

@@ -105,6 +105,7 @@ def log_facts(log: Log) -> dict[str, Any]:
             "lanes": len(log.scene.lane_lines),
             "lanes_with_edges": sum(line.left_m is not None for line in log.scene.lane_lines),
             "edges": len(log.scene.road_edges),
+            "areas": len(log.scene.road_areas),
         },
         "problems": [{"code": p.code, "detail": p.detail, "offset": p.offset} for p in log.problems],
     }
@@ -178,10 +179,10 @@ def info_lines(facts: Mapping[str, Any]) -> Iterator[str]:
     yield from _channel_lines(facts["channels"])
     yield from _vehicle_lines(facts["vehicles"])
     road = facts["road"]
-    if road["lanes"] or road["edges"]:
+    if any(road.values()):
         yield (
             f"road: {road['lanes']} lanes, {road['lanes_with_edges']} with both edges; "
-            f"{road['edges']} road edges"
+            f"{road['edges']} road edges, {road['areas']} areas"
         )
     for problem in facts["problems"]:
         where = "" if problem["offset"] is None else f" at byte {problem['offset']}"

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import shapely
 
-from istc_replay.datatypes import LaneLine, RoadEdge, StaticScene, read_only
+from istc_replay.datatypes import LaneLine, RoadArea, RoadEdge, StaticScene, read_only
 from istc_replay.polyline import beside, middle_line
 from istc_replay.road import Road, scene_near
 
@@ -70,6 +70,19 @@ def test_lanes_that_follow_each_other_leave_no_hole_and_the_nearest_edge_ends_th
     assert alone is not None
     np.testing.assert_allclose(alone.free_m(at)[4], [1.2, np.nan])
     assert Road.of(StaticScene((LaneLine("line", read_only(first)),))) is None
+
+
+def test_an_area_joins_the_lanes_that_lead_to_it() -> None:
+    lanes = tuple(
+        lane(str(k), np.array([[x, 0.0], [x + 40.0, 0.0]]), 2.0, -2.0) for k, x in enumerate((0.0, 60.0))
+    )
+    junction = RoadArea(
+        "J", read_only([[40.0, -2.0], [40.0, 2.0], [45.0, 9.0], [55.0, 9.0], [60.0, 2.0], [60.0, -2.0]])
+    )
+    road = Road.of(StaticScene(lanes, road_areas=(junction,)))
+    assert road is not None
+    at = np.column_stack([[20.0, 50.0, 70.0, 110.0], np.zeros((4, 2))])
+    np.testing.assert_allclose(road.free_m(at), [[2.0, 2.0], [9.0, 2.0], [2.0, 2.0], [np.nan, np.nan]])
 
 
 def test_what_is_far_from_a_window_is_left_out_of_it() -> None:

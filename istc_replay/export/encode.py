@@ -189,6 +189,8 @@ def scene_message(scene: StaticScene) -> Any:
         )
     for edge in scene.road_edges:
         message.road_edges.add(edge_id=edge.edge_id, points=_points(edge.points_m))
+    for area in scene.road_areas:
+        message.road_areas.add(area_id=area.area_id, points=_points(area.points_m))
     for obstacle in scene.obstacles:
         message.obstacles.add(**_fields(obstacle))
     if scene.bounds is not None:

@@ -15,6 +15,7 @@ from istc_replay.datatypes import (
     FloatArray,
     LaneLine,
     MapBounds,
+    RoadArea,
     RoadEdge,
     SceneObstacle,
     VehicleInfo,
@@ -50,6 +51,8 @@ class SceneReader:
             self._lane_line(line)
         for edge in scene.road_edges:
             self._road_edge(edge)
+        for area in scene.road_areas:
+            self._road_area(area)
         for obstacle in scene.obstacles:
             self._obstacle(obstacle)
         for vehicle in scene.vehicles:
@@ -79,6 +82,13 @@ class SceneReader:
             self._refuse(f"road edge {quoted(edge.edge_id)}", _LINE_RULE)
             return
         self._parts.road_edges[edge.edge_id] = RoadEdge(edge.edge_id, points)
+
+    def _road_area(self, area: Any) -> None:
+        points = points_of(area.points)
+        if len(points) < 3 or not is_line(points):
+            self._refuse(f"road area {quoted(area.area_id)}", "it needs at least three finite points")
+            return
+        self._parts.road_areas[area.area_id] = RoadArea(area.area_id, points)
 
     def _obstacle(self, box: Any) -> None:
         numbers = (box.x_m, box.y_m, box.heading_rad, box.length_m, box.width_m)

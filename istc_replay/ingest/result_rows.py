@@ -14,6 +14,7 @@ from istc_replay.datatypes import (
     Dimensions,
     LaneLine,
     MapBounds,
+    RoadArea,
     RoadEdge,
     SceneObstacle,
     StaticScene,
@@ -160,6 +161,7 @@ def _collect_scene(rows: ResultRows, scene: Any, _: str) -> None:
         for line in scene.lane_lines
     ]
     edges = [RoadEdge(edge.edge_id, points_of(edge.points)) for edge in scene.road_edges]
+    areas = [RoadArea(area.area_id, points_of(area.points)) for area in scene.road_areas]
     obstacles = [
         SceneObstacle(**{name: getattr(o, name) for name in SceneObstacle.__slots__}) for o in scene.obstacles
     ]
@@ -170,7 +172,9 @@ def _collect_scene(rows: ResultRows, scene: Any, _: str) -> None:
         VehicleInfo(v.vehicle_id, _known(v, "priority"), _dimensions(_known(v, "dimensions")))
         for v in scene.vehicles
     ]
-    rows.scenes.append(StaticScene(tuple(lines), tuple(obstacles), bounds, tuple(vehicles), tuple(edges)))
+    rows.scenes.append(
+        StaticScene(tuple(lines), tuple(obstacles), bounds, tuple(vehicles), tuple(edges), tuple(areas))
+    )
 
 
 def _dimensions(box: Any) -> Dimensions | None:

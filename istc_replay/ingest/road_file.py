@@ -4,7 +4,7 @@
 |---|---|---|
 | LineString, MultiLineString | `lane` | a lane line in driving order; with `width_m`, its edges as well |
 | LineString, MultiLineString | `edge` | a road edge |
-| Polygon, MultiPolygon | `road`, or none | road edges: the outlines of the area and of its holes |
+| Polygon, MultiPolygon | `road`, or none | a road area, and the outlines of its holes road edges |
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
-from istc_replay.datatypes import FloatArray, LaneLine, RoadEdge, read_only
+from istc_replay.datatypes import FloatArray, LaneLine, RoadArea, RoadEdge, read_only
 from istc_replay.errors import LogError
 from istc_replay.ingest.problems import quoted
 from istc_replay.ingest.scene import SceneParts
@@ -84,10 +84,13 @@ def read_road(path: Path, parts: SceneParts) -> str:
 
 
 def _take(parts: SceneParts, line_id: str, kind: str, line: FloatArray, width_m: float | None) -> None:
-    known: dict[str, Any] = parts.lane_lines if kind == "lane" else parts.road_edges
+    places: dict[str, Any] = {"lane": parts.lane_lines, "edge": parts.road_edges, "road": parts.road_areas}
+    known = places[kind]
     if line_id in known:
         raise _FaultError(f"its id {quoted(line_id, 40)} is taken; give each its own")
-    if kind != "lane":
+    if kind == "road":
+        known[line_id] = RoadArea(line_id, read_only(line[:-1]))
+    elif kind == "edge":
         known[line_id] = RoadEdge(line_id, line)
     elif width_m is None:
         known[line_id] = LaneLine(line_id, line)
@@ -110,7 +113,7 @@ def _features(told: Any) -> list[Any]:
 
 
 def _lines_of(feature: Any, number: int) -> Iterator[tuple[str, str, FloatArray, float | None]]:
-    """Id, kind (lane or edge), points (P, 2) and width of each line of a feature."""
+    """Id, kind (lane, edge or road), points (P, 2) and width of each line of a feature."""
     shape = feature.get("geometry") if isinstance(feature, dict) else None
     told = (feature.get("properties") or {}) if isinstance(feature, dict) else {}
     geometry = shape.get("type") if isinstance(shape, dict) else None
@@ -123,10 +126,18 @@ def _lines_of(feature: Any, number: int) -> Iterator[tuple[str, str, FloatArray,
         raise _FaultError(f"its property kind is {quoted(str(kind), 40)}; give {' or '.join(kinds)}")
     own = feature.get("id", told.get("id", number))
     width_m = _width(told.get("width_m")) if kind == "lane" else None
-    lines = list(_nested(shape.get("coordinates"), _LINES[geometry]))
-    for index, line in enumerate(lines):
+    if area:
+        polygons = list(_nested(shape.get("coordinates"), _LINES[geometry] - 1))
+        lines = [
+            (ring, "edge" if hole else "road")
+            for each in polygons
+            for hole, ring in enumerate(_nested(each, 1))
+        ]
+    else:
+        lines = [(line, str(kind)) for line in _nested(shape.get("coordinates"), _LINES[geometry])]
+    for index, (line, part) in enumerate(lines):
         line_id = str(own) if len(lines) == 1 else f"{own}/{index}"
-        yield line_id, "lane" if kind == "lane" else "edge", _points(line, closed=area), width_m
+        yield line_id, part, _points(line, closed=area), width_m
 
 
 def _width(told: Any) -> float | None:

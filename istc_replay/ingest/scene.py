@@ -4,7 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from istc_replay.datatypes import LaneLine, MapBounds, RoadEdge, SceneObstacle, StaticScene, VehicleInfo
+from istc_replay.datatypes import (
+    LaneLine,
+    MapBounds,
+    RoadArea,
+    RoadEdge,
+    SceneObstacle,
+    StaticScene,
+    VehicleInfo,
+)
 
 
 class SceneParts:
@@ -17,6 +25,7 @@ class SceneParts:
         self.last: list[Callable[[], None]] = []
         self.lane_lines: dict[str, LaneLine] = {}
         self.road_edges: dict[str, RoadEdge] = {}
+        self.road_areas: dict[str, RoadArea] = {}
         self.obstacles: dict[str, SceneObstacle] = {}
         self.vehicles: dict[str, VehicleInfo] = {}
         self.bounds: MapBounds | None = None
@@ -32,4 +41,5 @@ class SceneParts:
             self.bounds,
             tuple(self.vehicles.values()),
             tuple(self.road_edges.values()),
+            tuple(self.road_areas.values()),
         )

@@ -192,7 +192,7 @@ def read_fcd(path: Path, types: list[Path], progress: Progress, net: Path | None
         raise LogError(
             f"{path}: its positions are degrees, those of {net} are not; write it without {_GEO_NOTE}"
         )
-    lanes = () if net is None else read_net(net, problems)
+    scene = StaticScene() if net is None else read_net(net, problems)
     handler = _Fcd(declared.boxes, geo, problems)
     cut = read_xml(path, handler, progress)
     if cut:
@@ -203,7 +203,7 @@ def read_fcd(path: Path, types: list[Path], progress: Progress, net: Path | None
     return ForeignRecording(
         "SUMO FCD",
         handler.states.table(),
-        StaticScene(lanes),
+        scene,
         problems.found(),
         not problems.lost,
         ("front bumpers moved to box centres, angles turned to counter-clockwise from east",),

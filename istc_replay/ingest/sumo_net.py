@@ -1,11 +1,12 @@
-"""Lanes of SUMO's networks: line and width of each on which cars drive, those of junctions included."""
+"""Lanes of SUMO's networks, line and width of each on which cars drive, and the outlines of junctions."""
 
 from __future__ import annotations
 
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
-from istc_replay.datatypes import FloatArray, LaneLine, read_only
+from istc_replay.datatypes import FloatArray, LaneLine, RoadArea, StaticScene, read_only
 from istc_replay.errors import LogError
 from istc_replay.ingest.foreign import BadValueError, above_zero, finite
 from istc_replay.ingest.problems import Problems, quoted
@@ -26,6 +27,7 @@ class _Net:
 
     def __init__(self, problems: Problems) -> None:
         self.lanes: dict[str, LaneLine] = {}
+        self.junctions: dict[str, RoadArea] = {}
         self._problems = problems
         self._function = ""
         self._points = 0
@@ -38,18 +40,26 @@ class _Net:
         if path[-1] == "edge" and len(path) == 2:
             self._function = attributes.get("function", "")
         elif path[-1] == "lane" and len(path) == 3 and self._driven(attributes):
-            lane_id = attributes.get("id", "")
-            try:
-                shape = self._shape(attributes.get("shape", ""))
-                width_m = above_zero(attributes.get("width", str(_WIDTH_M)), "width")
-                if not lane_id or lane_id in self.lanes:
-                    raise BadValueError("it needs an id of its own")
-            except BadValueError as error:
-                detail = f"line {line}: lane {quoted(lane_id, 40)} is left out: {error}"
-                self._problems.lose("bad_value", detail)
-                return
-            left, right = (read_only(beside(shape, side * width_m / 2.0)) for side in (1.0, -1.0))
-            self.lanes[lane_id] = LaneLine(lane_id, shape, None, left, right)
+            self._take("lane", attributes, line)
+        elif path[-1] == "junction" and len(path) == 2 and " " in attributes.get("shape", ""):
+            self._take("junction", attributes, line)
+
+    def _take(self, kind: str, told: dict[str, str], line: int) -> None:
+        own = told.get("id", "")
+        try:
+            known: dict[str, Any] = self.lanes if kind == "lane" else self.junctions
+            if not own or own in known:
+                raise BadValueError("it needs an id of its own")
+            shape = self._shape(told.get("shape", ""), least=2 if kind == "lane" else 1)
+            if kind == "lane":
+                width_m = above_zero(told.get("width", str(_WIDTH_M)), "width")
+                sides = (read_only(beside(shape, side * width_m / 2.0)) for side in (1.0, -1.0))
+                known[own] = LaneLine(own, shape, None, *sides)
+            elif len(shape) > 2:  # others are where a road ends or goes on
+                known[own] = RoadArea(own, shape)
+        except BadValueError as error:
+            detail = f"line {line}: {kind} {quoted(own, 40)} is left out: {error}"
+            self._problems.lose("bad_value", detail)
 
     def end(self, _path: tuple[str, ...], _text: str, _line: int) -> None:
         """Nothing is told by an element's end."""
@@ -60,7 +70,7 @@ class _Net:
         allowed = set(lane.get("allow", "all").split())
         return bool(allowed & _CARS) and not set(lane.get("disallow", "").split()) & _CARS
 
-    def _shape(self, text: str) -> FloatArray:
+    def _shape(self, text: str, least: int) -> FloatArray:
         """Points (P, 2), those that repeat the one before left out."""
         places = [place.split(",") for place in text.split()]
         if any(len(place) < 2 for place in places):
@@ -68,16 +78,15 @@ class _Net:
         points = [(finite(place[0], "x"), finite(place[1], "y")) for place in places]
         points = points[:1] + [b for a, b in pairwise(points) if a != b]
         self._points += len(points)
-        if len(points) < 2 or self._points > _POINTS_LIMIT:
-            rule = (
-                "two different points" if len(points) < 2 else f"no more than {_POINTS_LIMIT} points in all"
-            )
+        if len(points) < least or self._points > _POINTS_LIMIT:
+            few = len(points) < least
+            rule = "two different points" if few else f"no more than {_POINTS_LIMIT} points in all"
             raise BadValueError(f"its shape needs {rule}")
         return read_only(points, columns=2)
 
 
-def read_net(path: Path, problems: Problems) -> tuple[LaneLine, ...]:
-    """Read the lanes of a SUMO network, plain or gzip.
+def read_net(path: Path, problems: Problems) -> StaticScene:
+    """Read the lanes and junctions of a SUMO network, plain or gzip.
 
     Raises
     ------
@@ -93,4 +102,4 @@ def read_net(path: Path, problems: Problems) -> tuple[LaneLine, ...]:
         raise LogError(f"{path}: {cut}")
     if not net.lanes:
         raise LogError(f"{path}: holds no lane on which cars drive; give what `netconvert -o` wrote")
-    return tuple(net.lanes.values())
+    return StaticScene(tuple(net.lanes.values()), road_areas=tuple(net.junctions.values()))

@@ -28,6 +28,7 @@ from istc_replay.datatypes import (
     MapBounds,
     Obstacle,
     Result,
+    RoadArea,
     RoadEdge,
     Scenario,
     SceneObstacle,
@@ -234,6 +235,7 @@ def test_the_scene_comes_back(synthetic_plan: Plan) -> None:
         MapBounds(-1.0, 1.0, -2.0, 2.0),
         (*log.scene.vehicles, VehicleInfo("silent")),
         (RoadEdge("kerb", right),),
+        (RoadArea("junction", left),),
     )
     read = read_result(write(dataclasses.replace(log, scene=scene))).scene
     assert (read.obstacles, read.bounds, read.vehicles) == (scene.obstacles, scene.bounds, scene.vehicles)
@@ -243,7 +245,8 @@ def test_the_scene_comes_back(synthetic_plan: Plan) -> None:
             two.vehicle_id,
             two.points_m.tolist(),
         )
-    assert [edge.tolist() for edge in read.edges_m] == [edge.tolist() for edge in (left, right, right)]
+    outline = np.vstack([left, left[:1]])
+    assert [edge.tolist() for edge in read.edges_m] == [e.tolist() for e in (left, right, right, outline)]
     assert read.road_edges[0].edge_id == "kerb"
 
 

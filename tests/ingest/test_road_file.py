@@ -50,7 +50,8 @@ def test_lanes_edges_and_areas_are_read(tmp_path: Path) -> None:
         parallel = shapely.offset_curve(shapely.LineString(line), side * 1.75, join_style="mitre")
         assert shapely.hausdorff_distance(shapely.LineString(edge), parallel) < 1e-6
     assert [(each.lane_id, each.left_m) for each in others] == [("2/0", None), ("2/1", None)]
-    assert {edge.edge_id: len(edge.points_m) for edge in scene.road_edges} == {"1": 2, "3/0": 5, "3/1": 4}
+    assert {edge.edge_id: len(edge.points_m) for edge in scene.road_edges} == {"1": 2, "3/1": 4}
+    assert [(area.area_id, area.points_m.tolist()) for area in scene.road_areas] == [("3/0", outline[:-1])]
     np.testing.assert_array_equal(scene.road_edges[0].points_m, [[0, 5], [7, 5]])
 
 

@@ -135,6 +135,7 @@ NET = """<net version="1.20"><edge id=":J_0" function="internal">
 <lane id="E_1" index="1" allow="pedestrian" speed="9" length="9" width="2" shape="0,-3 100,-3"/>
 <lane id="E_2" index="2" disallow="tram rail" speed="9" length="9" width="4" shape="0,0,1 50,0,1 50,0 100,0"/>
 {more}</edge>
+<junction id="J" x="0" y="0" shape="100,-5 120,-5 120,8"/><junction id="dead" x="0" y="0" shape="0,2 0,-2"/>
 <edge id=":w" function="walkingarea"><lane id=":w_0" speed="1" length="1" shape="0,0 1,0"/></edge></net>"""
 
 
@@ -144,7 +145,10 @@ def test_the_lanes_of_a_network_go_into_the_log(convert: Convert, tmp_path: Path
     out = tmp_path / "net.mcap"
     done = convert_recording(DATA / "sumo_fcd.xml", out, Config(), [DATA / "sumo_types.rou.xml"], net=net)
     assert (done.lanes, done.complete) == (2, True)
-    lanes = {line.lane_id: line for line in read_log(out).scene.lane_lines}
+    scene = read_log(out).scene
+    (junction,) = scene.road_areas
+    assert junction.points_m.tolist() == [[100.0, -5.0], [120.0, -5.0], [120.0, 8.0]]
+    lanes = {line.lane_id: line for line in scene.lane_lines}
     assert lanes.keys() == {":J_0_0", "E_2"}
     assert lanes["E_2"].points_m.tolist() == [[0.0, 0.0], [50.0, 0.0], [100.0, 0.0]]
     for side, points in ((2.0, lanes["E_2"].left_m), (-2.0, lanes["E_2"].right_m)):
