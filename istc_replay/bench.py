@@ -20,7 +20,7 @@ import numpy as np
 import polars as pl
 
 from istc_replay.coordinate import Planners, plan_part
-from istc_replay.datatypes import Log, WindowStatus
+from istc_replay.datatypes import SOUND, Log, WindowStatus
 from istc_replay.errors import ScenarioError
 from istc_replay.geometry import box_corners, shift_along
 from istc_replay.pipeline.replay import replay_read
@@ -138,7 +138,7 @@ def _row(name: str, make: Callable[[], RecordedScene], config: Config, runs: int
         length_m=sum(lengths) if None not in lengths else None,
         guidance_m=_recorded_m(log),
         min_separation_m=checks.get("separation"),
-        certified=window["status"] == WindowStatus.CERTIFIED,
+        certified=window["status"] in SOUND,
         arrived=all(v["arrived"] is not False for v in vehicles) and window["vehicles_certified"] > 0,
         reason=window["reason"],
         stages_s=_stages(median_run) | {f"proof: {k}": v for k, v in proven.get("stages", {}).items()},
@@ -240,14 +240,14 @@ def robustness(name: str, count: int, config: Config, told: Callable[[str], None
         try:
             window = replay_read(recorded_log(record(perturbed(scene, seed))), fast).summary["windows"][0]
         except ScenarioError as error:
-            misses.append({"seed": seed, "reason": str(error)})
+            misses.append({"seed": seed, "status": "guidance_missing", "reason": str(error)})
             continue
         late = [v["id"] for v in window["vehicles"] if v["arrived"] is False]
         if window["status"] == WindowStatus.CERTIFIED and not late:
             good += 1
         else:
             reason = window["reason"] or f"not arrived: {', '.join(late)}"
-            misses.append({"seed": seed, "reason": reason})
+            misses.append({"seed": seed, "status": window["status"], "reason": reason})
     return {"name": scene.name, "perturbed": count, "certified_and_arrived": good, "misses": misses}
 
 

@@ -26,7 +26,7 @@ from istc_replay.trajectories.repair import RecordingRepairer
 from istc_replay.windows import CROWDED_UNIT_S, TRAFFIC_UNITS_S
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from istc_replay.config import Config, CorridorsConfig
     from istc_replay.corridors.incumbent import Search
@@ -279,11 +279,12 @@ class _Rounds:
                 or self._reseed(corridors.status is SolveStatus.LIMIT)
             ):
                 return None
-            return self._settled(WindowStatus.NO_CORRIDORS, corridors.reason + self._after(), corridors)
+            status = WindowStatus.CONFLICT_LEFT if corridors.conflicts else WindowStatus.NO_CORRIDORS
+            return self._settled(status, corridors.reason + self._after(), corridors)
         outcomes = self._trajectories(corridors)
         undrivable = tuple(o.undrivable for o in outcomes if o.undrivable is not None)
         found = tuple(o.trajectory for o in outcomes if o.trajectory is not None)
-        late = [] if undrivable else self._late(found)
+        late = {} if undrivable else self._late(found)
         if undrivable or late:
             self.stuck = self.leave_the_tree()
             if self.stuck:
@@ -295,10 +296,10 @@ class _Rounds:
             return self._settled(WindowStatus.NOT_DRIVABLE, reason, corridors, undrivable=undrivable)
         if self._strays(found):
             return None
-        told = ["goal not reached: " + ", ".join(late)] if late else []
-        reason = "; ".join([*told, *filter(None, [corridors.reason])])
+        reason = "; ".join(filter(None, [_late_text(late), corridors.reason]))
         # Not certified until the certificate has said so.
         plan = self._plan(WindowStatus.NOT_CERTIFIED, reason, corridors, trajectories=found)
+        plan = replace(plan, late=() if self.ready.scenario.traffic else tuple(late))
         rank = (len(late), corridors.objective or 0.0)
         if self.kept is None or rank < self.kept[0]:
             self.kept = (rank, plan, self.search)
@@ -333,7 +334,7 @@ class _Rounds:
         if plan.trajectories:
             outcomes = self._trajectories(better)
             found = tuple(o.trajectory for o in outcomes if o.trajectory is not None)
-            if len(found) == len(outcomes) and self._late(found) == self._late(plan.trajectories):
+            if len(found) == len(outcomes) and [*self._late(found)] == [*self._late(plan.trajectories)]:
                 laterals = self._laterals(found)
                 if all(kept.margin_m >= _LATERAL_RESERVE_M for kept in laterals):
                     return replace(plan, corridors=better, trajectories=found, lateral=laterals)
@@ -352,15 +353,15 @@ class _Rounds:
         self.seeds.again([(numbers[u.vehicle_id], u.unit) for u in undrivable])
         return True
 
-    def _late(self, found: tuple[Trajectory, ...]) -> list[str]:
-        """Vehicles that were recorded to stand at their goal and do not come to it, and how far they end."""
-        late = []
+    def _late(self, found: tuple[Trajectory, ...]) -> dict[str, float]:
+        """Vehicles that were recorded to stand at their goal, do not come to it, and end how far [m] away."""
+        late = {}
         for participant, trajectory in zip(self.ready.scenario.participants, found, strict=True):
             x, y, heading = trajectory.states[-1, :3]
             end = shift_along(x, y, heading, trajectory.dimensions.rear_axle_to_centre_m)
             away = float(np.hypot(*(participant.recording.poses[-1, :2] - end)))
             if participant.recording.speeds_mps[-1] < STANDING_MPS and away > ARRIVED_M:
-                late.append(f"{participant.vehicle_id} by {away:.1f} m")
+                late[participant.vehicle_id] = away
         return late
 
     def _corridors(self) -> Corridors:
@@ -515,6 +516,11 @@ def _astray(kept: Lateral) -> tuple[str, str]:
     most = kept.excursion_m + kept.margin_m
     detail = f"its plan leaves the recorded path by {kept.excursion_m:.2f} m, more than {most:.2f} m"
     return "off_the_path", detail
+
+
+def _late_text(late: Mapping[str, float]) -> str:
+    told = ", ".join(f"{vehicle} by {away_m:.1f} m" for vehicle, away_m in late.items())
+    return f"goal not reached: {told}" if late else ""
 
 
 def _undrivable_text(undrivable: Undrivable) -> str:

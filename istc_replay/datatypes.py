@@ -394,13 +394,22 @@ class Corridor:
 
 
 @dataclass(frozen=True, slots=True)
+class Conflict:
+    """Two road users that were not kept apart, and in which time unit."""
+
+    first: str
+    second: str
+    unit: int
+
+
+@dataclass(frozen=True, slots=True)
 class Corridors:
     """The interactive spatio-temporal corridors of one window, eq. (4).
 
     `corridors` is empty unless status is optimal or feasible. `gap` = (objective - bound) /
     max(1, |objective|). `reason` says in one line why there is no solution, or what of this one is out of
-    the ordinary, `culprits` which vehicles (or pairs of road users) are in the way of one. `frames` are the
-    guidance that eq. (9) to (12) were written about, one a corridor.
+    the ordinary, `culprits` which vehicles (or pairs of road users) are in the way of one, and `conflicts`
+    where pairs meet. `frames` are the guidance that eq. (9) to (12) were written about, one a corridor.
     """
 
     status: SolveStatus
@@ -413,6 +422,7 @@ class Corridors:
     reason: str = ""
     records: tuple[SolveRecord, ...] = ()
     culprits: tuple[tuple[str, ...], ...] = ()
+    conflicts: tuple[Conflict, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -476,9 +486,15 @@ class WindowStatus(StrEnum):
     CERTIFIED = "certified"  # every plannable vehicle has a plan, every check passes
     PARTIAL = "partial"  # some plannable vehicles stay as recorded, the others' plans pass every check
     NOT_CERTIFIED = "not_certified"  # a plan, but a check fails or cannot be judged
-    NO_CORRIDORS = "no_corridors"
-    NOT_DRIVABLE = "not_drivable"
+    GOAL_NOT_REACHED = "goal_not_reached"  # every check passes, but a scene's vehicle ends elsewhere
+    CONFLICT_LEFT = "conflict_left"  # no corridors: a pair is not kept apart in a time unit
+    NO_CORRIDORS = "no_corridors"  # for any other reason
+    NOT_DRIVABLE = "not_drivable"  # corridors, but a vehicle sticks out of its own in a time unit
     NOTHING_TO_PLAN = "nothing_to_plan"
+
+
+#: Statuses of windows whose plans pass every check.
+SOUND = frozenset({WindowStatus.CERTIFIED, WindowStatus.PARTIAL, WindowStatus.GOAL_NOT_REACHED})
 
 
 @dataclass(frozen=True, slots=True)
@@ -505,7 +521,8 @@ class WindowPlan:
     """A window's whole result before it is certified.
 
     `frozen` vehicles could have been planned but stay as recorded: obstacles to the others. The
-    gaps [m] are those that layer 1 promised, None where they are the configuration's.
+    gaps [m] are those that layer 1 promised, None where they are the configuration's. `late` are vehicles
+    of a scene that do not come to their goals.
     """
 
     scenario: Scenario
@@ -522,6 +539,7 @@ class WindowPlan:
     vehicle_gap_m: float | None = None
     obstacle_gap_m: float | None = None
     lateral: tuple[Lateral, ...] = ()
+    late: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -8,12 +8,12 @@ import numpy as np
 
 from istc_replay.bicycle import dense_motion
 from istc_replay.datatypes import (
+    SOUND,
     FloatArray,
     Frame,
     StartState,
     Trajectory,
     WindowPlan,
-    WindowStatus,
     read_only,
 )
 from istc_replay.geometry import shift_along, to_frame, to_map
@@ -41,7 +41,7 @@ class Handed:
 
 def handed_over(before: WindowPlan | None, start_ns: int) -> dict[str, Handed]:
     """Where the vehicles of a certified plan are at an instant; nobody of any other plan."""
-    if before is None or before.status not in (WindowStatus.CERTIFIED, WindowStatus.PARTIAL):
+    if before is None or before.status not in SOUND:
         return {}
     frame, at_s = before.scenario.window.frame, (start_ns - before.scenario.window.start_ns) / NS_PER_S
     found = {}

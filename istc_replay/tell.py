@@ -283,4 +283,5 @@ def robustness_lines(found: Sequence[Mapping[str, Any]]) -> Iterator[str]:
         good, count = scene["certified_and_arrived"], scene["perturbed"]
         yield f"{scene['name']}: {good} of {count} perturbed copies certified and arrived"
         for miss in scene["misses"]:
-            yield f"  seed {miss['seed']}: {line(miss['reason'])}"
+            status = miss["status"].replace("_", " ")
+            yield f"  seed {miss['seed']}: {status}: {line(miss['reason'])}"

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from istc_replay.config import CorridorsConfig
     from istc_replay.corridors.groups import TreeOutcome
     from istc_replay.corridors.problem import CorridorProblem
-    from istc_replay.datatypes import Guidance
+    from istc_replay.datatypes import Conflict, Guidance
 
 #: Frames are written anew while that makes the objective better by this share.
 _WORTH = 0.02
@@ -45,6 +45,7 @@ class Search:
     exhausted: bool = False  # the conflict tree saw everything there is
     records: list[SolveRecord] = field(default_factory=list)
     culprits: tuple[tuple[str, ...], ...] = ()
+    conflicts: tuple[Conflict, ...] = ()
     note: str = ""  # how the incumbent was found, where that is out of the ordinary
     frames: tuple[Guidance, ...] = ()  # that `problem` is written about, where they are not the guidance
 

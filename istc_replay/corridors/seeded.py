@@ -14,7 +14,7 @@ from istc_replay.corridors.relinearise import with_references
 from istc_replay.corridors.seed.mending import Mended, mended
 from istc_replay.corridors.seed.repair import Repair
 from istc_replay.corridors.seed.seeding import frames_of, make_lattices
-from istc_replay.datatypes import SolveRecord, SolveStatus, read_only
+from istc_replay.datatypes import Conflict, SolveRecord, SolveStatus, read_only
 
 if TYPE_CHECKING:
     from istc_replay.config import CorridorsConfig
@@ -89,7 +89,8 @@ def search_seeds(
         own = growth.run(guidance, rewritten, config)
         search.records += growth.records
         if own is None:
-            reason, search.culprits = growth.why_not(names)
+            reason, search.conflicts = growth.why_not(names)
+            search.culprits = tuple((c.first, c.second) for c in search.conflicts)
             continue
         found.append((own, growth))
         if not gives_way(own):
@@ -125,7 +126,7 @@ class _Growth:
 
     repair: Repair
     records: list[SolveRecord] = field(default_factory=list)
-    missed: list[tuple[str, str, int]] = field(default_factory=list)
+    missed: list[Conflict] = field(default_factory=list)
 
     def run(
         self, guidance: Sequence[Guidance], rewritten: Rewritten, config: CorridorsConfig
@@ -144,16 +145,16 @@ class _Growth:
             self._give_way(search.problem, missed)
         return None
 
-    def why_not(self, names: Sequence[str]) -> tuple[str, tuple[tuple[str, str], ...]]:
-        """In one line why there are no corridors, and the pairs of vehicles in conflict."""
+    def why_not(self, names: Sequence[str]) -> tuple[str, tuple[Conflict, ...]]:
+        """In one line why there are no corridors, and what conflicts are left."""
         if self.repair.no_way is not None:
             return f"{names[self.repair.no_way]} has no way to its goal within the window", ()
         conflicts = self.repair.conflicts()
-        left = [(names[i], names[j], units[0]) for (i, j), units in conflicts.items()] or self.missed
+        left = [Conflict(names[i], names[j], units[0]) for (i, j), units in conflicts.items()] or self.missed
         if not left:
             return "no corridors about any seed", ()
-        told = ", ".join(f"{one} and {other} in time unit {unit}" for one, other, unit in left)
-        return f"conflict left: {told}", tuple((names[i], names[j]) for i, j in conflicts)
+        told = ", ".join(f"{c.first} and {c.second} in time unit {c.unit}" for c in left)
+        return f"conflict left: {told}", tuple(left)
 
     def _repaired(self, config: CorridorsConfig) -> bool:
         began, before = time.perf_counter(), self.repair.rounds
@@ -182,7 +183,7 @@ class _Growth:
                 self.repair.bar(first, unit)
             else:
                 self.repair.keep_apart(first, second, unit, missed_m[d] + _MORE_M)
-        self.missed = [(*pair, int(table.unit[d])) for pair, d in worst.items()]
+        self.missed = [Conflict(*pair, int(table.unit[d])) for pair, d in worst.items()]
 
 
 def _grown(

@@ -12,7 +12,7 @@ from istc_replay.corridors.formulation import build_problem
 from istc_replay.corridors.incumbent import Search, cramped, fill, follow, gap_between, gives_way, grow_tree
 from istc_replay.corridors.paper import PAPER_BIG_M, build_paper_problem
 from istc_replay.corridors.seeded import Seeds, search_seeds
-from istc_replay.datatypes import Corridors, SolveStatus
+from istc_replay.datatypes import Conflict, Corridors, SolveStatus
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -79,6 +79,8 @@ def find_corridors(
     if not paper and search.z is None:
         tree = grow_tree(search, config, first_try=seeds is None)
         if tree.z is None and (tree.exhausted or seeds is None):
+            if tree.open_conflict is not None:
+                search.conflicts = (_conflict(problem, tree.open_conflict),)
             where = "" if tree.open_conflict is None else _conflict_text(problem, tree.open_conflict)
             reason = where or "the limits of eq. (9) to (12) contradict each other or the map's bounds"
             return _unfound(search, SolveStatus.INFEASIBLE, reason), None
@@ -109,7 +111,13 @@ def bounded(corridors: Corridors, bound: float | None, gap_tolerance: float) -> 
 
 
 def _unfound(search: Search, status: SolveStatus, reason: str) -> Corridors:
-    return Corridors(status, reason=reason, culprits=search.culprits, records=tuple(search.records))
+    return Corridors(
+        status,
+        reason=reason,
+        culprits=search.culprits,
+        conflicts=search.conflicts,
+        records=tuple(search.records),
+    )
 
 
 def _prove(search: Search, scenario: Scenario, config: CorridorsConfig) -> None:
@@ -139,7 +147,9 @@ def _refused(problem: CorridorProblem) -> Corridors | None:
     if impossible:
         reason = _conflict_text(problem, impossible[0])
         pairs = tuple(dict.fromkeys(map(problem.pair, impossible)))
-        return Corridors(SolveStatus.INFEASIBLE, reason=reason, culprits=pairs)
+        first = {problem.pair(d): _conflict(problem, d) for d in reversed(impossible)}
+        conflicts = tuple(first[pair] for pair in pairs)
+        return Corridors(SolveStatus.INFEASIBLE, reason=reason, culprits=pairs, conflicts=conflicts)
     narrow = cramped(problem)
     if narrow:
         vehicle_id, unit = narrow[0]
@@ -173,6 +183,10 @@ def _none_found(search: Search) -> Corridors:
         return Corridors(SolveStatus.ERROR, reason=f"no corridors were found before {died[-1]}")
     reason = "the node budget ended before corridors were found; raise corridors.tree_node_budget"
     return Corridors(SolveStatus.LIMIT, reason=reason)
+
+
+def _conflict(problem: CorridorProblem, separation: int) -> Conflict:
+    return Conflict(*problem.pair(separation), int(problem.separations.unit[separation]))
 
 
 def _conflict_text(problem: CorridorProblem, separation: int) -> str:

@@ -12,6 +12,7 @@ import polars as pl
 from istc_replay import messages
 from istc_replay.config import CorridorsConfig
 from istc_replay.datatypes import (
+    SOUND,
     Certificate,
     Corridor,
     Dimensions,
@@ -23,7 +24,6 @@ from istc_replay.datatypes import (
     StaticScene,
     Window,
     WindowPlan,
-    WindowStatus,
 )
 from istc_replay.export.placing import (
     PlannedMotion,
@@ -125,7 +125,7 @@ def plan_messages(plan: WindowPlan, config: CorridorsConfig) -> Iterator[Stamped
 
     Trajectories that are not certified are no plan: they go to topics of their own.
     """
-    kind = "planned" if plan.status in (WindowStatus.CERTIFIED, WindowStatus.PARTIAL) else "rejected"
+    kind = "planned" if plan.status in SOUND else "rejected"
     window = plan.scenario.window
     yield window.start_ns, "/istc/corridors", _corridors(plan, config)
     yield window.start_ns, "/istc/obstacles", _obstacles(plan)

@@ -21,6 +21,7 @@ _STATUSES = {
     WindowStatus.CERTIFIED: _INFO,
     WindowStatus.NOTHING_TO_PLAN: _INFO,
     WindowStatus.PARTIAL: _WARNING,
+    WindowStatus.GOAL_NOT_REACHED: _WARNING,
 }
 #: Longer messages and names are cut.
 _MESSAGE, _NAME = 1000, 60

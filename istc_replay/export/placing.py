@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from istc_replay.datatypes import (
+    SOUND,
     Dimensions,
     FloatArray,
     Frame,
@@ -18,7 +19,6 @@ from istc_replay.datatypes import (
     Trajectory,
     Window,
     WindowPlan,
-    WindowStatus,
 )
 from istc_replay.geometry import shift_along, to_map
 from istc_replay.units import NS_PER_S, seconds_to_ns, wrap_angle
@@ -67,7 +67,7 @@ def planned_motion(trajectory: Trajectory, window: Window) -> PlannedMotion:
 
 def planned_motions(plan: WindowPlan) -> Iterator[PlannedMotion]:
     """Place the trajectories of a window in their order, if it is certified."""
-    if plan.status in (WindowStatus.CERTIFIED, WindowStatus.PARTIAL):
+    if plan.status in SOUND:
         for trajectory in plan.trajectories:
             if len(trajectory.times_s):
                 yield planned_motion(trajectory, plan.scenario.window)

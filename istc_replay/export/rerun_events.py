@@ -8,6 +8,7 @@ import polars as pl
 import rerun as rr
 from rerun.chunk import Chunk
 
+from istc_replay.datatypes import SOUND
 from istc_replay.export.rerun_chunks import FOREVER_NS, each, entity, label, shown
 from istc_replay.export.rerun_clearance import Clearance
 from istc_replay.export.rerun_findings import findings_lines
@@ -70,7 +71,7 @@ def _input_events(stage: Stage) -> list[Event]:
 
 def _window_events(span: Span) -> list[Event]:
     w, start = span.summary, span.start_ns
-    solved = w["status"] in ("certified", "partial", "not_certified")
+    solved = w["status"] in SOUND or w["status"] == "not_certified"
     level = (
         "INFO" if w["status"] == "certified" else "WARN" if solved or not w["vehicles_plannable"] else "ERROR"
     )

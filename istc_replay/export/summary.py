@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 
-from istc_replay.datatypes import Verdict, WindowStatus
+from istc_replay.datatypes import SOUND, Verdict
 from istc_replay.guidance.build import STANDING_MPS
 from istc_replay.ingest.result import SUMMARY_SCHEMA
 from istc_replay.safety.certificate import overall
@@ -115,7 +115,7 @@ def window_figures(outcome: WindowOutcome) -> dict[str, Any]:
     """The figures of one window."""
     plan, certificates = outcome.plan, outcome.certificates
     scenario, window, corridors = plan.scenario, plan.scenario.window, plan.corridors
-    certified = plan.status in (WindowStatus.CERTIFIED, WindowStatus.PARTIAL)
+    certified = plan.status in SOUND
     told = outcome.changes if certified else ()
     reasons = [e.reason for e in scenario.excluded]
     return {
@@ -143,6 +143,11 @@ def window_figures(outcome: WindowOutcome) -> dict[str, Any]:
             {"vehicle_id": u.vehicle_id, "unit": u.unit, "slack_m": u.slack_m, "detail": u.detail}
             for u in plan.undrivable
         ],
+        "conflicts": [
+            {"vehicles": [c.first, c.second], "unit": c.unit}
+            for c in (() if corridors is None else corridors.conflicts)
+        ],
+        "late": list(plan.late),
         "corridors": {
             "status": None if corridors is None else str(corridors.status),
             "objective": None if corridors is None else corridors.objective,

@@ -6,7 +6,7 @@ import time
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
-from istc_replay.datatypes import Log, Verdict, WindowOutcome, WindowStatus
+from istc_replay.datatypes import SOUND, Log, Verdict, WindowOutcome, WindowStatus
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -34,7 +34,7 @@ def judged(
     certificates, against = _certified(plan, part, config, before) if plan.trajectories else ((), ())
     seconds = {**plan.seconds, "certificate": time.perf_counter() - began}
     verdict = replace(_with_verdict(plan, certificates), seconds=seconds)
-    sound = verdict.status in (WindowStatus.CERTIFIED, WindowStatus.PARTIAL)
+    sound = verdict.status in SOUND
     return WindowOutcome(verdict, certificates, gap, against if sound else (), changes(plan) if sound else ())
 
 
@@ -105,7 +105,7 @@ def _with_verdict(plan: WindowPlan, certificates: Sequence[Certificate]) -> Wind
             stay = "; ".join(f"{e.vehicle_id}: {e.detail}" for e in plan.frozen)
             reason = "; ".join(filter(None, [f"as recorded stay {stay}", plan.reason]))
             return replace(plan, status=WindowStatus.PARTIAL, reason=reason)
-        return replace(plan, status=WindowStatus.CERTIFIED)
+        return replace(plan, status=WindowStatus.GOAL_NOT_REACHED if plan.late else WindowStatus.CERTIFIED)
     faults = [c for c in certificates if c.verdict in (Verdict.FAIL, Verdict.INCONCLUSIVE)]
     reason = "; ".join(f"{c.check} {c.verdict}: {c.detail}" for c in faults) or "nothing was certified"
     return replace(plan, reason=reason)

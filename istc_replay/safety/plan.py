@@ -34,7 +34,7 @@ _DIMENSIONS = ["length_m", "width_m", "wheelbase_m", "rear_axle_to_centre_m"]
 #: Why vehicles that are not planned are obstacles.
 _AS_RECORDED = ("not_a_vehicle", "uncooperative", "parked")
 #: Window statuses that say that no plan was made.
-_WITHOUT_PLAN = ("no_corridors", "not_drivable", "nothing_to_plan")
+_WITHOUT_PLAN = ("conflict_left", "no_corridors", "not_drivable", "nothing_to_plan")
 
 
 @dataclass(frozen=True, slots=True)

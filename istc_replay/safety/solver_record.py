@@ -10,12 +10,10 @@ from typing import Any
 import polars as pl
 
 from istc_replay.config import Config
-from istc_replay.datatypes import Verdict
+from istc_replay.datatypes import SOUND, Verdict
 from istc_replay.safety.log_audit import Audit
 from istc_replay.safety.rules import SOLVER_RULE
 from istc_replay.states import FINDINGS_SCHEMA
-
-_WITH_PLAN = ("certified", "partial")
 
 
 def with_solver_record(audit: Audit, windows: Sequence[Mapping[str, Any]], config: Config) -> Audit:
@@ -39,7 +37,7 @@ def with_solver_record(audit: Audit, windows: Sequence[Mapping[str, Any]], confi
 
 def _finding(window: Mapping[str, Any], config: Config) -> dict[str, Any] | None:
     corridors = window.get("corridors") or {}
-    if window.get("status") not in _WITH_PLAN or corridors.get("status") == "optimal":
+    if window.get("status") not in SOUND or corridors.get("status") == "optimal":
         return None
     gap, start = corridors.get("gap"), int(window["start_ns"])
     known = isinstance(gap, int | float)

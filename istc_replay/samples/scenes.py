@@ -164,7 +164,7 @@ def _drives(scene: SceneFile, settings: GuidanceConfig) -> list[Drive]:
     try:
         paths = find_paths(tasks, _bounds(scene), obstacles, settings, scene.speed_mps)
     except ScenarioError as error:
-        raise ScenarioError(f"scene {scene.name}: {error}") from None
+        raise ScenarioError(f"guidance missing: scene {scene.name}: {error}") from None
     return [_drive(task, path, scene.speed_mps) for task, path in zip(tasks, paths, strict=True)]
 
 

@@ -34,7 +34,13 @@ def findings(**columns: object) -> pl.DataFrame:
 
 @pytest.mark.parametrize(
     ("status", "level"),
-    [(WindowStatus.CERTIFIED, INFO), (WindowStatus.PARTIAL, WARNING), (WindowStatus.NO_CORRIDORS, ERROR)],
+    [
+        (WindowStatus.CERTIFIED, INFO),
+        (WindowStatus.PARTIAL, WARNING),
+        (WindowStatus.GOAL_NOT_REACHED, WARNING),
+        (WindowStatus.CONFLICT_LEFT, ERROR),
+        (WindowStatus.NO_CORRIDORS, ERROR),
+    ],
 )
 def test_a_windows_verdict_stands_at_its_start(
     synthetic_plan: Plan, status: WindowStatus, level: int

@@ -278,7 +278,19 @@ def test_a_status_without_any_check_is_not_believed(synthetic_result: Result, un
     assert "✓ Certified" not in words
 
 
-@pytest.mark.parametrize("status", ["no_corridors", "not_drivable", "nothing_to_plan", "unheard_of"])
+def test_a_window_that_ends_away_from_a_goal_shows_its_plan_and_says_so(synthetic_result: Result) -> None:
+    late = with_window(
+        proven(synthetic_result), status="goal_not_reached", reason="goal not reached: a by 1.2 m"
+    )
+    words = Page(report_html(late, "x")).words
+    assert "Not everybody reaches its goal" in words
+    assert "Reason: goal not reached: a by 1.2 m" in words
+    assert "as planned" in words
+
+
+@pytest.mark.parametrize(
+    "status", ["conflict_left", "no_corridors", "not_drivable", "nothing_to_plan", "unheard_of"]
+)
 def test_a_window_without_a_plan_gives_its_reason_and_shows_none(
     synthetic_result: Result, status: str
 ) -> None:

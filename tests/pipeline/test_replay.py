@@ -122,7 +122,7 @@ def test_vehicles_that_overlap_at_the_start_are_named() -> None:
     first = log.states.filter(pl.col("vehicle_id") == "1")
     twin = first.with_columns(vehicle_id=pl.lit("9"), y_m=pl.col("y_m") + 1.0)
     plan = planned(replace(log, states=pl.concat([log.states, twin])))
-    assert plan.status is WindowStatus.NO_CORRIDORS
+    assert plan.status is WindowStatus.CONFLICT_LEFT
     assert "1 and 9 cannot be separated in time unit 0" in plan.reason
 
 

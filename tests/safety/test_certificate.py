@@ -138,7 +138,7 @@ def test_an_absent_obstacle_does_not_count(scene: Any) -> None:
     assert checks["obstacle_separation"].verdict == NOT_APPLICABLE
 
 
-@pytest.mark.parametrize("status", ["no_corridors", "not_drivable", "nothing_to_plan"])
+@pytest.mark.parametrize("status", ["conflict_left", "no_corridors", "not_drivable", "nothing_to_plan"])
 def test_a_window_without_a_plan_has_no_certificates(good: Result, status: str) -> None:
     empty = without(good, "states", pl.col("source") == "planned")
     empty.summary["windows"][0]["status"], before = status, empty.summary["windows"][0]["status"]

@@ -9,14 +9,14 @@ import numpy as np
 import polars as pl
 
 from istc_replay.config import Config, parse_config
-from istc_replay.datatypes import FloatArray, Frame, Result, WindowStatus
+from istc_replay.datatypes import SOUND, FloatArray, Frame, Result, WindowStatus
 from istc_replay.errors import ConfigError, UsageError
 from istc_replay.export.figures.style import VehicleStyle, vehicle_styles
 from istc_replay.geometry import box_corners, to_map
 from istc_replay.units import NS_PER_S
 
 #: Only these windows have a plan to show.
-PLANNED = (WindowStatus.CERTIFIED, WindowStatus.PARTIAL, WindowStatus.NOT_CERTIFIED)
+PLANNED = (*SOUND, WindowStatus.NOT_CERTIFIED)
 #: Past this distance from the origin of the map a coordinate cannot be a place [m].
 _FAR_M = 1e8
 _WALLS = ("x_min_m", "x_max_m", "y_min_m", "y_max_m")

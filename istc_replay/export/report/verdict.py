@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from istc_replay.datatypes import WindowStatus
+from istc_replay.datatypes import SOUND, WindowStatus
 from istc_replay.export.report.markup import Html, element, join, names, number, prose
 from istc_replay.units import NS_PER_S
 
@@ -31,6 +31,11 @@ CHECKS = {
 #: Tone, a few words and a sentence of each status that has no plan.
 _WITHOUT_PLAN = {
     "no_corridors": ("bad", "✗ no corridors", "✗ No plan: no corridors were found."),
+    "conflict_left": (
+        "bad",
+        "✗ conflict left",
+        "✗ No plan: there are no corridors that keep everybody apart.",
+    ),
     "not_drivable": (
         "bad",
         "✗ not drivable",
@@ -58,7 +63,7 @@ class Verdict:
 def verdict_of(entry: dict[str, Any], certificates: Sequence[dict[str, Any]], separation_m: float) -> Verdict:
     """Judge a window by its status and its certificates; the worse of both counts."""
     status = entry.get("status")
-    sound = status in (WindowStatus.CERTIFIED, WindowStatus.PARTIAL)
+    sound = status in SOUND
     if not sound and status != WindowStatus.NOT_CERTIFIED:
         tone, short, words = _WITHOUT_PLAN.get(str(status), ("bad", "✗ no plan", "✗ No plan."))
         return Verdict(tone, short, join([words]), {}, has_plan=False)
@@ -74,7 +79,11 @@ def verdict_of(entry: dict[str, Any], certificates: Sequence[dict[str, Any]], se
                 "as recorded; {} are present."
             )
             return Verdict("open", "✓ partial", join([words.format(*counts)]), planned, has_plan=True)
-        return Verdict("good", "✓ certified", join([words.format(*counts)]), planned, has_plan=True)
+        told = join([words.format(*counts)])
+        if status == WindowStatus.GOAL_NOT_REACHED:
+            told = join([told, " Not everybody reaches its goal."])
+            return Verdict("open", "✓ goal not reached", told, planned, has_plan=True)
+        return Verdict("good", "✓ certified", told, planned, has_plan=True)
     faults = [join(["checks that fail: ", names(failed)])] if failed else []
     faults += [join(["checks that cannot be judged: ", names(unjudged)])] if unjudged else []
     faults += [] if certificates else [join(["no check was made"])]
