@@ -187,7 +187,7 @@ class GuidanceConfig(Section):
     routing: Literal["independent", "coordinated"] = "independent"
     """Routes of scene files: each alone, or each with a view to those routed before it."""
     route_radius_m: Positive = 6.0
-    """Turning radius of a route; others are tried where it finds none or a long one."""
+    """Preferred turning radius of a route: sharper bends, down to the least radius, have to save length."""
     route_margin_m: NonNegative = 0.3
     """Room that a route keeps between the car-box and an obstacle."""
     route_heading_slack_rad: Annotated[float, Field(ge=0, le=0.6)] = 0.13962634015954636

@@ -114,7 +114,7 @@ class Clearance:
     ) -> tuple[np.ndarray, FloatArray, FloatArray]:
         centres = self._centres(poses)
         dx, dy = (centres[:, None, axis] - self.obstacles[None, :, axis] for axis in (0, 1))  # (P, O)
-        cars, boxes = np.nonzero(dx * dx + dy * dy < (self._reach_m + within_m) ** 2)
+        cars, boxes = np.nonzero(dx * dx + dy * dy < (self._reach_m + 1.5 * within_m) ** 2)
         x, y, angles, sizes = self._relative(centres, poses[:, 2], cars, boxes)
         by_axis = axis_gaps(x, y, angles, sizes)  # (4, T, N)
         gaps = by_axis.max(axis=0)

@@ -14,8 +14,6 @@ from istc_replay.datatypes import FloatArray, read_only
 #: Five Gauss nodes integrate a piece of this length exactly, up to rounding, where curvature is linear.
 _STEP_M = 0.5
 _GAUSS_NODES, _GAUSS_WEIGHTS = np.polynomial.legendre.leggauss(5)
-_ROUNDS = 25
-_END_TOLERANCE = 1e-10
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,52 +170,3 @@ def smooth_curve(start: Pose, lengths_m: ArrayLike, curvatures_1pm: ArrayLike, r
     breaks = np.unique(np.concatenate([ends, ends + ramp_m]))
     kappa = (np.interp(breaks, ends, turned) - np.interp(breaks - ramp_m, ends, turned)) / ramp_m
     return Curve(start, read_only(breaks), read_only(kappa))
-
-
-def smooth_to_goal(
-    start: Pose, goal: Pose, lengths_m: ArrayLike, curvatures_1pm: ArrayLike, ramp_m: float
-) -> Curve | None:
-    """Spread the arcs' changes of curvature over ramps and still end exactly at the goal.
-
-    The lengths are corrected by as little as possible (Newton's method, its slopes measured once
-    and then updated by Broyden's rule). A bend whose length is negative bends the other way; None
-    where a straight would have to be negative, or no correction is found.
-
-    Parameters
-    ----------
-    start, goal : Pose
-        The ends of the curve.
-    lengths_m, curvatures_1pm : array_like
-        (A,) arcs of a path from start to goal, sharp or nearly right when smoothed [m, 1/m].
-    ramp_m : float
-        As for `smooth_curve` [m].
-    """
-    bends = np.asarray(curvatures_1pm, dtype=np.float64)
-    straight = bends == 0.0
-
-    def tried(lengths: FloatArray) -> tuple[Curve, FloatArray]:
-        curve = smooth_curve(start, np.abs(lengths), np.where(lengths < 0.0, -bends, bends), ramp_m)
-        error = curve.end - goal.as_array()
-        error[2] = math.remainder(error[2], 2.0 * math.pi)
-        return curve, error
-
-    lengths = np.array(lengths_m, dtype=np.float64)
-    longest = 2.0 * np.abs(lengths).sum() + 10.0 * ramp_m
-    curve, error = tried(lengths)
-    step = 1e-6
-    slopes = np.column_stack(
-        [(tried(lengths + step * axis)[1] - error) / step for axis in np.eye(len(lengths))]
-    )
-    for _ in range(_ROUNDS):
-        if np.abs(error).max() < _END_TOLERANCE:
-            return curve
-        wanted = lengths - np.linalg.lstsq(slopes, error, rcond=None)[0]
-        if wanted[straight].min(initial=0.0) < -1e-9:
-            return None
-        moved = np.where(straight, np.maximum(wanted, 0.0), wanted) - lengths
-        if not moved.any() or np.abs(lengths + moved).sum() > longest:
-            return None
-        curve, after = tried(lengths + moved)
-        slopes += np.outer(after - error - slopes @ moved, moved) / (moved @ moved)
-        lengths, error = lengths + moved, after
-    return None

@@ -7,12 +7,10 @@ closed form are those of Shkel and Lumelsky, "Classification of the Dubins set" 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from istc_replay.datatypes import FloatArray
-from istc_replay.guidance.curves import Pose
 
 #: The words in the order of every array here; each second is the one before, mirrored.
 WORD_NAMES = ("LSL", "RSR", "LSR", "RSL", "LRL", "RLR")
@@ -20,36 +18,6 @@ _SIGNS = {"L": 1.0, "R": -1.0, "S": 0.0}
 #: Signed curvatures (6, 3) of the words' arcs at radius 1.
 WORD_CURVATURES = np.array([[_SIGNS[letter] for letter in name] for name in WORD_NAMES])
 _SAME = 1e-9
-
-
-@dataclass(frozen=True, slots=True)
-class Word:
-    """One of the six words with the lengths of its arcs [m] at one turning radius [m]."""
-
-    name: str
-    radius_m: float
-    lengths_m: tuple[float, float, float]
-
-    @property
-    def length_m(self) -> float:
-        """Length of the whole path."""
-        return sum(self.lengths_m)
-
-    @property
-    def curvatures_1pm(self) -> tuple[float, ...]:
-        """Signed curvature of each arc."""
-        return tuple(_SIGNS[letter] / self.radius_m for letter in self.name)
-
-
-def dubins_words(start: Pose, goal: Pose, radius_m: float) -> list[Word]:
-    """Return the words that lead from start to goal, the shortest first."""
-    lengths = word_lengths(start.as_array(), goal.as_array(), radius_m)
-    words = [
-        Word(name, radius_m, (float(t), float(p), float(q)))
-        for name, (t, p, q) in zip(WORD_NAMES, lengths, strict=True)
-        if math.isfinite(t)
-    ]
-    return sorted(words, key=lambda word: word.length_m)
 
 
 def word_lengths(starts: FloatArray, goals: FloatArray, radius_m: float) -> FloatArray:

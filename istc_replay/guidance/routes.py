@@ -46,8 +46,8 @@ def find_path(
 ) -> Curve:
     """Find a short path of continuous, bounded curvature from start to goal.
 
-    Forward hybrid A* gives a first path; it is shortened to few Dubins words between poses that are
-    moved to where it is shortest; their changes of curvature are then spread over ramps.
+    Taut lines past the obstacles, or else forward hybrid A*, give sharp paths; one of them is pulled
+    taut to a smooth one.
 
     Parameters
     ----------

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cache
+from functools import lru_cache
 
 import daqp
 import numpy as np
@@ -122,7 +122,7 @@ def _optimised(values: FloatArray, start: FloatArray, goal: FloatArray, limits: 
     return values
 
 
-@cache
+@lru_cache(maxsize=32)
 def _integrals(pieces: int) -> FloatArray:
     """Integrals (F + 1, M + 1) of the hat functions from 0 to each of F fine steps of [0, 1]."""
     fine = np.linspace(0.0, pieces, _FINE * pieces + 1)[:, None] - np.arange(pieces + 1)
@@ -132,13 +132,13 @@ def _integrals(pieces: int) -> FloatArray:
     return read_only(integrals / pieces)
 
 
-@cache
+@lru_cache(maxsize=32)
 def _differences(pieces: int) -> FloatArray:
     """Changes (M, M - 1) from break point to break point by the curvatures of the inner ones."""
     return read_only(np.diff(np.eye(pieces + 1), axis=0)[:, 1:-1])
 
 
-@cache
+@lru_cache(maxsize=32)
 def _evenness(pieces: int) -> FloatArray:
     """Hessian (M - 1, M - 1) of half the sum of squared changes."""
     differences = _differences(pieces)
