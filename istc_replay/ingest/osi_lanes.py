@@ -16,7 +16,7 @@ import numpy as np
 from google.protobuf import message_factory
 from google.protobuf.message import DecodeError
 
-from istc_replay.datatypes import FloatArray, LaneLine, RoadEdge, read_only
+from istc_replay.datatypes import FloatArray, LaneLine, RoadArea, RoadEdge, read_only
 from istc_replay.ingest.batches import Bytes
 from istc_replay.ingest.osi import FOREIGN, enum_name
 from istc_replay.ingest.problems import Problems
@@ -63,6 +63,7 @@ class _Lane:
     left: tuple[int, ...]
     right: tuple[int, ...]
     backward: bool  # driven against its own direction
+    free: tuple[int, ...] = ()  # boundaries of an intersection, to no side
 
 
 class Lanes:
@@ -146,6 +147,7 @@ class Lanes:
             tuple(each.value for each in kind.left_lane_boundary_id),
             tuple(each.value for each in kind.right_lane_boundary_id),
             not kind.centerline_is_driving_direction,  # writers leave False out
+            tuple(each.value for each in kind.free_lane_boundary_id),
         )
         self._lanes[False].setdefault(lane.lane_id, lane)
 
@@ -165,6 +167,8 @@ class Lanes:
         """Give each lane its edges."""
         logical = not self._lanes[False]
         for lane in self._lanes[logical].values():
+            if self._area(lane):
+                continue
             left, right = (self._side(ids, lane.line_m, logical) for ids in (lane.left, lane.right))
             if left is None or right is None:
                 if len(lane.line_m) < 2:
@@ -192,6 +196,15 @@ class Lanes:
             )
             self._parts.lane_lines.setdefault(lane.lane_id, known)
 
+    def _area(self, lane: _Lane) -> bool:
+        """Whether a lane is an intersection, told by its free boundaries alone: an area of the road."""
+        pieces = [self._boundaries[False].get(number) for number in lane.free]
+        known = [piece for piece in pieces if piece is not None]
+        if lane.left or lane.right or len(lane.line_m) > 1 or len(known) < max(2, len(pieces)):
+            return False
+        self._parts.road_areas.setdefault(lane.lane_id, RoadArea(lane.lane_id, read_only(outline(known))))
+        return True
+
     def _side(self, ids: tuple[int, ...], along_m: FloatArray, logical: bool) -> FloatArray | None:
         """One line (P, 2) of the boundaries of a side, in the lane's direction; None if one is unknown."""
         pieces = [self._boundaries[logical].get(number) for number in ids]
@@ -215,4 +228,17 @@ def joined(pieces: list[FloatArray], along_m: FloatArray) -> FloatArray:
     for piece in pieces[1:]:
         turned = math.dist(line[-1], piece[-1]) < math.dist(line[-1], piece[0])
         line = np.vstack([line, piece[::-1] if turned else piece])
+    return line
+
+
+def outline(pieces: list[FloatArray]) -> FloatArray:
+    """Pieces (P, 2) of an outline as they follow on; where roads join it, it is straight."""
+    line, rest = pieces[0], list(pieces[1:])
+    while rest:
+        gaps = [
+            (math.dist(line[-1], piece[end]), row, end) for row, piece in enumerate(rest) for end in (0, -1)
+        ]
+        _, row, end = min(gaps)
+        piece = rest.pop(row)
+        line = np.vstack([line, piece if end == 0 else piece[::-1]])
     return line

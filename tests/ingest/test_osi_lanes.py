@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import shapely
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from mcap.reader import make_reader
 
@@ -171,6 +172,25 @@ def test_a_damaged_lane_is_a_problem_and_the_others_are_read(truth: Any, read: C
         assert any(part in detail for detail in told), part
     assert log.complete
     assert log.states.height == 1
+
+
+def test_an_intersection_is_an_area_between_its_free_boundaries(truth: Any, read: Callable[..., Log]) -> None:
+    # Four corners, told in any order and direction; roads join between them.
+    bound(truth, 1, [(10.0, 4.0), (6.0, 6.0), (4.0, 10.0)])
+    bound(truth, 2, [(-4.0, -10.0), (-6.0, -6.0), (-10.0, -4.0)])
+    bound(truth, 3, [(10.0, -4.0), (6.0, -6.0), (4.0, -10.0)])
+    bound(truth, 4, [(-10.0, 4.0), (-6.0, 6.0), (-4.0, 10.0)])
+    crossing = lane(truth, 60, [], [], [])
+    crossing.classification.type = 4
+    for number in (1, 2, 3, 4):
+        crossing.classification.free_lane_boundary_id.add().value = number
+    scene = read(truth).scene
+    (area,) = scene.road_areas
+    assert scene.lane_lines == ()
+    quarter = [(10, 4), (6, 6), (4, 10)]
+    left = [(-x, y) for x, y in reversed(quarter)]
+    whole = [*quarter, *left, *((x, -y) for x, y in reversed(left)), *((x, -y) for x, y in reversed(quarter))]
+    assert shapely.Polygon(area.points_m).equals(shapely.Polygon(whole))
 
 
 def test_logical_lanes_are_read_where_there_are_no_physical_ones(
