@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import polars as pl
@@ -31,6 +31,9 @@ TRAFFIC_LIMITS = {
     "pivotal_y_weight": 20.0,
     "steering_rate_weight": 5.0,
 }
+#: Budget of layer 1 in traffic, where the configuration does not set it: no window may hold up hundreds of
+#: others by its proof. A node of the largest problems that are proven takes some 20 ms.
+TRAFFIC_BUDGET = {"milp_node_budget": 1000}
 #: States this far outside a window still tell the state at its ends.
 _MARGIN_S = 1.0
 #: Of windows that are handed over so long before too.
@@ -91,14 +94,17 @@ def is_traffic(log: Log, config: WindowConfig) -> bool:
 def settled_config(log: Log, config: Config) -> Config:
     """The settings in force: in traffic, layer 2 may brake and speed up as recorded traffic does.
 
-    It also keeps closer to its pivotal points, which lie on the road where nothing needs to change.
-    Settings that are in force stay as they are.
+    It also keeps closer to its pivotal points, which lie on the road where nothing needs to change, and
+    proofs of layer 1 have fewer nodes. Settings that are in force stay as they are.
     """
-    limits = config.trajectories
     if not is_traffic(log, config.window):
         return config
-    free = {name: value for name, value in TRAFFIC_LIMITS.items() if name not in limits.model_fields_set}
-    return config.model_copy(update={"trajectories": limits.model_copy(update=free)})
+    settled: dict[str, Any] = {}
+    for name, defaults in (("trajectories", TRAFFIC_LIMITS), ("corridors", TRAFFIC_BUDGET)):
+        section = getattr(config, name)
+        free = {key: value for key, value in defaults.items() if key not in section.model_fields_set}
+        settled[name] = section.model_copy(update=free)
+    return config.model_copy(update=settled)
 
 
 def first_unit_s(config: WindowConfig, *, traffic: bool) -> float:

@@ -10,7 +10,7 @@ import polars as pl
 import pytest
 
 from istc_replay.apart import lateral_excursion_m
-from istc_replay.config import Config, parse_config
+from istc_replay.config import Config, parse_config, render_config
 from istc_replay.coordinate import Planners, plan_part, plan_window
 from istc_replay.datatypes import Log, StaticScene, Trajectory, WindowPlan, WindowStatus
 from istc_replay.field import Repairs, least_cover, prepare
@@ -111,6 +111,20 @@ def test_a_slow_log_is_a_scene_and_a_fast_one_traffic() -> None:
         next(iter(build_scenarios(told, Config.model_validate({"window": {"rules": "scene"}})))).window.unit_s
         == 1.0
     )
+
+
+def test_settings_of_traffic_are_taken_where_none_are_set_and_settled_ones_stay() -> None:
+    log = log_of(driver("1"))
+    config = parse_config("trajectories.deceleration_max_mps2 = 4.5")
+    settled = settled_config(log, config)
+    assert settled.trajectories.deceleration_max_mps2 == 4.5
+    assert settled.trajectories.acceleration_max_mps2 == 5.0
+    assert settled.corridors.milp_node_budget == 1000
+    assert settled_config(log, parse_config(render_config(settled))) == settled
+    own = parse_config("corridors.milp_node_budget = 5000")
+    assert settled_config(log, own).corridors.milp_node_budget == 5000
+    scene = log_of(driver("1", speed_mps=5.0))
+    assert settled_config(scene, config) == config
 
 
 def test_the_time_unit_is_long_only_where_the_recording_has_no_conflict_at_it() -> None:
