@@ -6,6 +6,9 @@ import numpy as np
 
 from istc_replay.datatypes import FloatArray
 
+#: A line of the road has no more points than this: what bounds a plan is found among all of them.
+LINE_POINTS = 20_000
+
 
 def resampled(points_m: FloatArray, shares: FloatArray) -> FloatArray:
     """Points (S, 2) at shares (S,) of the length of a polyline (P, 2)."""

@@ -19,6 +19,8 @@ if TYPE_CHECKING:
 _GAP_M, _SEAM_M = 0.2, 0.1
 #: An edge farther away than this bounds nothing [m].
 _REACH_M = 30.0
+#: Points of a line, times poses, that are looked at at once.
+_AT_ONCE = 1_000_000
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,18 +110,25 @@ def _crossings(line_m: FloatArray, poses: FloatArray, *, closed: bool) -> FloatA
     low, high = line_m.min(axis=0) - _REACH_M, line_m.max(axis=0) + _REACH_M
     rows = np.flatnonzero(((poses[:, :2] >= low) & (poses[:, :2] <= high)).all(axis=1))
     line = np.vstack([line_m, line_m[:1]]) if closed else line_m
-    offset = line - poses[rows, None, :2]  # (R, N, 2)
-    c, s = np.cos(poses[rows, 2])[:, None], np.sin(poses[rows, 2])[:, None]
+    count = max(1, len(rows) * len(line) // _AT_ONCE)
+    parts = [_met(line, poses[part]) for part in np.array_split(rows, count)]
+    found = np.full((len(poses), max((part.shape[1] for part in parts), default=0)), np.nan)
+    for part, met in zip(np.array_split(rows, count), parts, strict=True):
+        found[part, : met.shape[1]] = met
+    return found
+
+
+def _met(line: FloatArray, poses: FloatArray) -> FloatArray:
+    """Offsets (R, C) of `_crossings` for poses (R, 3) that are near the line."""
+    offset = line - poses[:, None, :2]  # (R, N, 2)
+    c, s = np.cos(poses[:, 2])[:, None], np.sin(poses[:, 2])[:, None]
     along, across = c * offset[..., 0] + s * offset[..., 1], c * offset[..., 1] - s * offset[..., 0]
     crosses = (along[:, :-1] <= 0.0) != (along[:, 1:] <= 0.0)
     step = along[:, :-1] - along[:, 1:]
     share = along[:, :-1] / np.where(step == 0.0, 1.0, step)
     met = across[:, :-1] + share * (across[:, 1:] - across[:, :-1])
     met = np.sort(np.where(crosses, met, np.nan), axis=1)
-    most = int(crosses.sum(axis=1).max(initial=0))
-    found = np.full((len(poses), most), np.nan)
-    found[rows] = met[:, :most]
-    return found
+    return np.asarray(met[:, : int(crosses.sum(axis=1).max(initial=0))])
 
 
 def _between_lanes(crossings: list[FloatArray], count: int) -> FloatArray:

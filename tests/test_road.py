@@ -94,3 +94,13 @@ def test_what_is_far_from_a_window_is_left_out_of_it() -> None:
     near = scene_near(scene, np.array([[2500.0, 0.0], [3100.0, 5.0], [np.nan, 0.0]]))
     assert [line.lane_id for line in near.lane_lines] == ["2", "3", "own"]
     assert near.road_edges == ()
+
+
+def test_an_edge_of_many_points_is_found_as_one_of_two() -> None:
+    x = np.linspace(-50.0, 50.0, 20_000)
+    many = RoadEdge("many", read_only(np.column_stack([x, np.full_like(x, 3.0)])))
+    few = RoadEdge("few", read_only([[-50.0, 3.0], [50.0, 3.0]]))
+    poses = np.column_stack([np.linspace(-40.0, 40.0, 150), np.zeros((150, 2))])
+    found = [Road((), (edge.points_m,)).free_m(poses) for edge in (many, few)]
+    np.testing.assert_allclose(found[0], found[1], atol=1e-9)
+    assert (found[0][:, 0] == 3.0).all()

@@ -25,8 +25,9 @@ from istc_replay.ingest.payload import PayloadError
 from istc_replay.ingest.problems import Problems, quoted
 from istc_replay.ingest.scene import SceneParts
 from istc_replay.messages import message
+from istc_replay.polyline import LINE_POINTS
 
-_LINE_RULE = "it needs at least two finite points"
+_LINE_RULE = f"it needs at least two finite points, and no more than {LINE_POINTS}"
 
 
 class SceneReader:
@@ -86,7 +87,9 @@ class SceneReader:
     def _road_area(self, area: Any) -> None:
         points = points_of(area.points)
         if len(points) < 3 or not is_line(points):
-            self._refuse(f"road area {quoted(area.area_id)}", "it needs at least three finite points")
+            self._refuse(
+                f"road area {quoted(area.area_id)}", "it needs at least three finite points, and not too many"
+            )
             return
         self._parts.road_areas[area.area_id] = RoadArea(area.area_id, points)
 
@@ -121,8 +124,8 @@ def points_of(points: Iterable[Any]) -> FloatArray:
 
 
 def is_line(points_m: FloatArray) -> bool:
-    """Whether points (P, 2) make a line: two at least, all finite."""
-    return len(points_m) >= 2 and bool(np.isfinite(points_m).all())
+    """Whether points (P, 2) make a line: two at least, not too many, all finite."""
+    return 2 <= len(points_m) <= LINE_POINTS and bool(np.isfinite(points_m).all())
 
 
 def _parse(type_: Any, data: bytes) -> Any:

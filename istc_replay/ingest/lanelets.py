@@ -5,7 +5,7 @@ from __future__ import annotations
 from istc_replay.datatypes import LaneLine, read_only
 from istc_replay.ingest.foreign import BadValueError, finite
 from istc_replay.ingest.problems import Problems, quoted
-from istc_replay.polyline import middle_line
+from istc_replay.polyline import LINE_POINTS, middle_line
 
 #: The sides of a lanelet, kinds on which cars do not drive, and the points of all that are held.
 _BOUNDS = ("leftBound", "rightBound")
@@ -69,8 +69,10 @@ class Lanelets:
         if self._points > _POINTS_LIMIT:
             raise BadValueError(f"more than {_POINTS_LIMIT} points of lanelets")
         left, right = (read_only(self._bounds[name], columns=2) for name in _BOUNDS)
-        if min(len(left), len(right)) < 2 or self._id in self.lanes:
-            raise BadValueError("it needs an id of its own and two points on either side")
+        fit = all(2 <= len(side) <= LINE_POINTS for side in (left, right))
+        if not fit or self._id in self.lanes:
+            rule = f"2 to {LINE_POINTS} points on either side"
+            raise BadValueError(f"it needs an id of its own and {rule}")
         middle = read_only(middle_line(left, right))
         self.lanes[self._id] = LaneLine(self._id, middle, None, left, right)
 

@@ -22,7 +22,7 @@ from istc_replay.ingest.osi import FOREIGN, enum_name
 from istc_replay.ingest.problems import Problems
 from istc_replay.ingest.scan import Spans
 from istc_replay.ingest.scene import SceneParts
-from istc_replay.polyline import middle_line
+from istc_replay.polyline import LINE_POINTS, middle_line
 
 #: Different lanes and boundaries that are read, and their points in all.
 _ITEMS_LIMIT, _POINTS_LIMIT = 50_000, 2_000_000
@@ -123,6 +123,8 @@ class Lanes:
         self._points += len(points)
         if not np.isfinite(points).all():
             raise ValueError("a point of it is not finite")
+        if len(points) > LINE_POINTS:
+            raise ValueError(f"it has more than {LINE_POINTS} points")
         moved = np.hypot(*np.diff(points, axis=0).T) > 0.0
         return read_only(points[np.concatenate([[True], moved])] if len(points) else points)
 

@@ -20,7 +20,7 @@ from istc_replay.datatypes import FloatArray, LaneLine, RoadArea, RoadEdge, read
 from istc_replay.errors import LogError
 from istc_replay.ingest.problems import quoted
 from istc_replay.ingest.scene import SceneParts
-from istc_replay.polyline import beside
+from istc_replay.polyline import LINE_POINTS, beside
 
 _SIZE_LIMIT, _POINTS_LIMIT = 32 * 2**20, 500_000
 #: No place on the ground is farther from the origin, and no lane wider [m].
@@ -174,6 +174,8 @@ def _points(line: Any, *, closed: bool) -> FloatArray:
         found = [found[0], *(b for a, b in pairwise(found) if a != b)]
     if len(found) < (4 if closed else 2):
         raise _FaultError("it has too few different points: a line needs 2, an area 3")
+    if len(found) > LINE_POINTS:
+        raise _FaultError(f"it has more than {LINE_POINTS} points; cut it into several")
     return read_only(found, columns=2)
 
 

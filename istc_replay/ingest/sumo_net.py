@@ -11,7 +11,7 @@ from istc_replay.errors import LogError
 from istc_replay.ingest.foreign import BadValueError, above_zero, finite
 from istc_replay.ingest.problems import Problems, quoted
 from istc_replay.ingest.xml_stream import read_xml
-from istc_replay.polyline import beside
+from istc_replay.polyline import LINE_POINTS, beside
 
 ROOT = "net"
 #: SUMO's width of a lane that tells none [m].
@@ -82,6 +82,8 @@ class _Net:
             few = len(points) < least
             rule = "two different points" if few else f"no more than {_POINTS_LIMIT} points in all"
             raise BadValueError(f"its shape needs {rule}")
+        if len(points) > LINE_POINTS:
+            raise BadValueError(f"its shape has more than {LINE_POINTS} points")
         return read_only(points, columns=2)
 
 

@@ -111,3 +111,9 @@ def test_degrees_twins_and_what_is_no_geojson_are_refused(tmp_path: Path) -> Non
         stream.truncate(2**25 + 1)
     with pytest.raises(LogError, match="larger than"):
         read_road(path, SceneParts())
+
+
+def test_a_line_of_very_many_points_is_refused(tmp_path: Path) -> None:
+    long = feature("LineString", [[x, 0] for x in range(20_001)], kind="edge")
+    with pytest.raises(LogError, match="feature 0: it has more than 20000 points; cut it into several"):
+        read(tmp_path, long)
