@@ -8,21 +8,21 @@ from istc_replay.ingest.summary import Summary
 
 #: Bytes of schemas and channels held at once.
 _LIMIT = 128 * 2**20
-#: Declarations that are read in a file, and one more for so many of its bytes.
-_COUNT_FLOOR, _BYTES_EACH = 110_000, 64
+#: Declarations of one kind that are read: each id once, and some that say another thing.
+_DECLARATIONS = 2**16 + 2**14
 
 
 class Definitions:
     """Schemas and channels by id; those of the summary stand in until the data declare them."""
 
-    def __init__(self, problems: Problems, summary: Summary, file_size: int) -> None:
+    def __init__(self, problems: Problems, summary: Summary) -> None:
         self.channels: dict[int, Channel] = dict(summary.channels)
         self._schemas: dict[int, Schema] = dict(summary.schemas)
         self.schemas: dict[Schema, None] = dict.fromkeys(summary.schemas.values())
         self._declared: set[tuple[int, int]] = set()
         self._problems = problems
         self._held = 0
-        self._left = _COUNT_FLOOR + file_size // _BYTES_EACH
+        self._left: dict[int, int] = {Opcode.SCHEMA: _DECLARATIONS, Opcode.CHANNEL: _DECLARATIONS}
         self._same: dict[tuple[int, int], int] = {}  # hashes of what was declared last, by kind and id
 
     def declare(self, opcode: int, fields: Fields, offset: int) -> None:
@@ -33,18 +33,15 @@ class Definitions:
         MalformedRecordError
             If its fields run past its end.
         """
-        if self._left < 0:
-            self._refuse(offset)
-            return
         size = fields.end - fields.position
         raw = bytes(fields.buffer[fields.position : fields.end])
         key, known = (opcode, int.from_bytes(raw[:2], "little")), hash(raw)
         if self._same.get(key) == known:
             return
-        self._left -= 1
-        if self._held + size > _LIMIT:
-            self._refuse(offset)
+        if not self._left[opcode] or self._held + size > _LIMIT:
+            self._refuse(key, offset)
             return
+        self._left[opcode] -= 1
         new = self._schema(fields, offset) if opcode == Opcode.SCHEMA else self._channel(fields, offset)
         self._same[key] = known
         if new:
@@ -52,9 +49,11 @@ class Definitions:
         if fields.replaced:
             self._problems.add("not_utf8", "a name in a schema or channel is not UTF-8", offset)
 
-    def _refuse(self, offset: int) -> None:
-        detail = "more schemas and channels than a file of this size may hold"
-        self._problems.lose("too_many_definitions", detail, offset)
+    def _refuse(self, key: tuple[int, int], offset: int) -> None:
+        """Leave a declaration out: what its id meant before holds no longer."""
+        (self.channels if key[0] == Opcode.CHANNEL else self._schemas).pop(key[1], None)
+        self._same.pop(key, None)
+        self._problems.lose("too_many_definitions", "more schemas or channels than are held", offset)
 
     def _schema(self, fields: Fields, offset: int) -> bool:
         schema_id, schema = parse_schema(fields)

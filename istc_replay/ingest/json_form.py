@@ -31,8 +31,8 @@ _TOKEN = re.compile(
 _NUMBER = re.compile(rb"-?(?:0|[1-9][0-9]*)(?:\.[0-9]+)?(?:[eE][+-]?[0-9]+)?")
 _INTEGER = re.compile(rb"-?(?:0|[1-9][0-9]*)")
 _PLAIN = re.compile(r'[^"\\\x00-\x1f]*')
-#: Longest number that is looked at alone [bytes].
-_LONG = 64
+#: Longest number that is looked at alone [bytes], and how many of a message may be: more are for a parser.
+_LONG, _ALONE = 64, 3
 _INT64 = 2**63
 #: Values of several places that are read at once, as they fit the caches.
 _AT_ONCE = 2**13
@@ -160,14 +160,17 @@ class Form:
         wanted = {place for item in self.items for place in item.values()}
         values: dict[int, NDArray[Any]] = {}
         messages = len(fits)
-        count = max(_AT_ONCE // messages, 1)
+        count, left = max(_AT_ONCE // messages, 1), _ALONE * messages
         for kind, read in _READERS.items():
             own = np.array([place for place, other in enumerate(self._kinds) if other == kind], np.int64)
             for some in (own[start : start + count] for start in range(0, len(own), count)):
                 first, after = begins[some].reshape(-1), stops[some].reshape(-1)
                 told, sound = read(word, first, after)
                 odd = np.flatnonzero(~sound & np.tile(fits, len(some)))
-                if len(odd):
+                left -= 0 if kind == _TEXT else len(odd)
+                if left < 0:
+                    fits[odd % messages] = False
+                elif len(odd):
                     settled = _settled(data, first[odd], after[odd], kind, told, odd)
                     fits[odd[~settled] % messages] = False
                 for index, place in enumerate(some.tolist()):

@@ -98,7 +98,7 @@ class LogFile:
         self._schemas: dict[Schema, None] = {}
         self._summary = Summary()
         self._inflater = Inflater(self.size, self._problems)
-        self._definitions = Definitions(self._problems, self._summary, self.size)
+        self._definitions = Definitions(self._problems, self._summary)
 
     @property
     def profile(self) -> str:
@@ -210,13 +210,13 @@ class LogFile:
             self._tally.declared(self._definitions.channels)
             self._schemas |= dict.fromkeys(self._definitions.schemas)
             # A file joined to the end of another has its own channels.
-            self._definitions = Definitions(self._problems, Summary(), self.size)
+            self._definitions = Definitions(self._problems, Summary())
         self._extras.compare(self.message_count, self.chunk_count)
 
     def _read_summary(self) -> None:
         try:
             self._summary = read_summary(self._buffer)
-            self._definitions = Definitions(self._problems, self._summary, self.size)
+            self._definitions = Definitions(self._problems, self._summary)
         except MalformedRecordError as error:
             self._problems.add(
                 "summary_damaged", f"{error}; the summary is not used", self.size - len(MAGIC) - FOOTER.size

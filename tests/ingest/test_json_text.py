@@ -262,3 +262,10 @@ def test_booleans_and_other_alphabets_keep_messages_in_their_form(by_form: list[
     assert by_form[0] == 12
     assert plain(decoded, "vehicle_id") == names[:3] * 4
     assert [row for row, _ in decoded.bad] == [*(k for k in range(20) if k % 5 > 2), 20, 21]
+
+
+def test_messages_of_many_numbers_with_exponents_are_left_to_a_parser(by_form: list[int]) -> None:
+    payload = b'{"id": "a", "p": {"x": 1e5}, "q": [' + b", ".join([b"1e5"] * 900) + b"]}"
+    decoded = decode(JsonDecoder(ONE), [payload] * 10)
+    assert sum(by_form) == 0
+    assert plain(decoded, "x_m") == [1e5] * 10

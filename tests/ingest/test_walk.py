@@ -386,6 +386,18 @@ def test_more_declarations_than_a_small_file_may_hold_are_told() -> None:
     assert not log.complete
 
 
+def test_messages_of_a_declaration_that_is_not_held_are_not_given_to_the_one_before() -> None:
+    declared = b"".join(
+        record(0x04, struct.pack("<HH", 1 + k % 30_000, 0) + text(f"/{k}") + text("json") + bytes(4))
+        for k in range(90_001)
+    )
+    log, messages = walk(
+        file_of(chunk(zstandard.compress(declared + MESSAGE), len(declared + MESSAGE), "zstd"))
+    )
+    assert codes(log) >= {"too_many_definitions", "unknown_channel"}
+    assert messages == []
+
+
 def test_the_profile_and_the_spans_of_channels_are_told(write_log: Callable[..., bytes], topic: Any) -> None:
     made = [topic("/a", [(T0_NS + 5, b""), (T0_NS, b"")]), topic("/b", [(T0_NS + 9, b"")]), topic("/c", [])]
     log, _ = walk(write_log(*made))
