@@ -269,22 +269,36 @@ def test_scaling_every_eta_changes_nothing_but_the_objective(
         np.testing.assert_allclose(a.pivots_m, b.pivots_m, atol=1e-5)
 
 
+@pytest.mark.parametrize("seed", [0, 1, 3, 5, 7, 11])
+def test_every_eta_doubled_doubles_the_optimum_of_random_crossings(
+    seed: int, crossing: Callable[..., Any]
+) -> None:
+    case = crossing(seed, vehicles=3, units=4, obstacle=seed % 4 == 3)
+    participants = tuple(replace(p, priority=2.0 * p.priority) for p in case.scenario.participants)
+    doubled = replace(case, scenario=replace(case.scenario, participants=participants)).solved(frame_rounds=0)
+    plain = case.solved(frame_rounds=0)
+    assert plain.status is doubled.status is SolveStatus.OPTIMAL
+    assert doubled.objective == pytest.approx(2.0 * plain.objective, rel=2e-3, abs=2e-3)
+
+
 def test_another_vehicle_never_improves_the_optimum(crossing: Callable[..., Any]) -> None:
-    for seed in range(3):
+    dearer = 0
+    for seed in range(8):
         case = crossing(seed, vehicles=3)
-        fewer = replace(
-            case,
-            scenario=replace(case.scenario, participants=case.scenario.participants[:2]),
-            guidance=case.guidance[:2],
-        ).solved(frame_rounds=0)
-        alone = replace(
-            case,
-            scenario=replace(case.scenario, participants=case.scenario.participants[2:]),
-            guidance=case.guidance[2:],
-        ).solved(frame_rounds=0)
         together = case.solved(frame_rounds=0)
-        if together.objective is not None:
-            assert together.objective >= fewer.bound + alone.bound
+        parts = [
+            replace(
+                case,
+                scenario=replace(case.scenario, participants=case.scenario.participants[which]),
+                guidance=case.guidance[which],
+            ).solved(frame_rounds=0)
+            for which in (slice(0, 2), slice(2, 3))
+        ]
+        assert all(part.status is SolveStatus.OPTIMAL for part in (together, *parts))
+        apart = sum(part.bound for part in parts)
+        assert together.objective >= apart
+        dearer += together.bound > 1.05 * sum(part.objective for part in parts)
+    assert dearer >= 4  # the third is in the others' way
 
 
 def test_boxes_that_overlap_at_the_start_are_named(crossing: Callable[..., Any]) -> None:
