@@ -360,7 +360,8 @@ class _Rounds:
             x, y, heading = trajectory.states[-1, :3]
             end = shift_along(x, y, heading, trajectory.dimensions.rear_axle_to_centre_m)
             away = float(np.hypot(*(participant.recording.poses[-1, :2] - end)))
-            if participant.recording.speeds_mps[-1] < STANDING_MPS and away > ARRIVED_M:
+            stands = participant.recording.speeds_mps[-1] < STANDING_MPS and not participant.goes_on
+            if stands and away > ARRIVED_M:
                 late[participant.vehicle_id] = away
         return late
 

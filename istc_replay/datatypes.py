@@ -274,8 +274,15 @@ class Participant:
     recording: Recording
     lane_m: FloatArray | None = None  # (P, 2) of its intent, corridor frame
     approach: FloatArray | None = None  # (P, 3) recorded path before a start that was handed over
+    ahead: FloatArray | None = None  # (P, 4) time, pose: how the plan that handed it over would have gone on
+    route: Recording | None = None  # of a scene that is planned in steps: recorded before and after too
     dimensions_source: str = "log"  # log, config or default
     lateral: LateralBound | None = None  # in traffic
+
+    @property
+    def goes_on(self) -> bool:
+        """Whether it is on its way beyond the window, and need not have arrived in the end."""
+        return self.route is not None and float(self.route.times_s[-1]) > self.recording.times_s[-1] + 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)

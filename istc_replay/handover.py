@@ -25,12 +25,22 @@ _INSTANT_S = 1e-6
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Handed:
-    """A planned vehicle when it is handed over, map frame: `pose` (3,) of its box centre."""
+    """A planned vehicle when it is handed over, map frame: `pose` (3,) of its box centre.
+
+    `ahead` (P, 4) is how its plan would have gone on: seconds since then, x, y, heading.
+    """
 
     pose: FloatArray
     speed_mps: float
     steering_rad: float
     acceleration_mps2: float
+    ahead: FloatArray
+
+    def plan(self, frame: Frame, heading_rad: float) -> FloatArray:
+        """How its plan would have gone on (P, 4), corridor frame, its first heading near the given one."""
+        headings = np.unwrap(self.ahead[:, 3] - frame.yaw_rad)
+        headings += 2.0 * np.pi * np.round((heading_rad - headings[0]) / (2.0 * np.pi))
+        return read_only(np.column_stack([self.ahead[:, 0], to_frame(self.ahead[:, 1:3], frame), headings]))
 
     def start(self, frame: Frame, heading_rad: float) -> StartState:
         """The start in a corridor frame, its heading within half a turn of the given one."""
@@ -52,7 +62,16 @@ def handed_over(before: WindowPlan | None, start_ns: int) -> dict[str, Handed]:
         x, y, heading, steering, speed, acceleration = state
         centre = shift_along(x, y, heading, trajectory.dimensions.rear_axle_to_centre_m)
         pose = read_only([*to_map(centre, frame), heading + frame.yaw_rad])
-        found[trajectory.vehicle_id] = Handed(pose, speed, steering, acceleration)
+        later = trajectory.times_s > at_s + _INSTANT_S
+        states = trajectory.states[later]
+        points = shift_along(
+            states[:, 0], states[:, 1], states[:, 2], trajectory.dimensions.rear_axle_to_centre_m
+        )
+        ahead = np.column_stack(
+            [trajectory.times_s[later] - at_s, to_map(points, frame), states[:, 2] + frame.yaw_rad]
+        )
+        ahead = read_only(np.vstack([[0.0, *pose], ahead]))
+        found[trajectory.vehicle_id] = Handed(pose, speed, steering, acceleration, ahead)
     return found
 
 

@@ -243,11 +243,12 @@ class _Builder:
         own = config.by_id.get(vehicle_id)
         priority = own.priority if own is not None and own.priority is not None else info.priority
         x, y, heading = (float(value) for value in usable.poses[0])
-        start, approach = StartState(x, y, heading, float(usable.speeds_mps[0])), None
+        start, approach, ahead = StartState(x, y, heading, float(usable.speeds_mps[0])), None, None
         before = self.handed.get(vehicle_id) if usable.first_unit == 0 else None
         if before is not None:
             start = before.start(self.window.frame, heading)
             approach = self.approach(vehicle_id, heading)
+            ahead = before.plan(self.window.frame, heading)
         return Participant(
             vehicle_id=vehicle_id,
             dimensions=dimensions,
@@ -259,6 +260,8 @@ class _Builder:
             lane_m=self.lane(vehicle_id, usable.poses),
             dimensions_source=source,
             approach=approach,
+            ahead=None if self.part.traffic else ahead,
+            route=self.route(vehicle_id),
             lateral=self.lateral(vehicle_id, dimensions) if self.part.traffic else None,
         )
 
@@ -271,6 +274,14 @@ class _Builder:
             way = float(np.hypot(*np.diff(poses[:, :2], axis=0).T).sum())
             intent = lane_ahead(lanes, away, _WAY_SHARE * way + _WAY_MORE_M)
         return None if intent is None else read_only(to_frame(intent, frame), columns=2)
+
+    def route(self, vehicle_id: str) -> Recording | None:
+        """Of a scene that is planned in steps, its track before, in and after the window."""
+        if self.part.traffic or self.config.window.start != "handed_over":
+            return None
+        user = self.users[vehicle_id]
+        times, poses = user.in_frame(self.window)
+        return Recording(read_only(times), read_only(poses), read_only(user.speeds_mps))
 
     def approach(self, vehicle_id: str, heading_rad: float) -> FloatArray:
         """The recorded path (P, 3) up to the window's start; its last heading is near that given."""

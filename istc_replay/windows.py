@@ -36,8 +36,8 @@ TRAFFIC_LIMITS = {
 TRAFFIC_BUDGET = {"milp_node_budget": 1000}
 #: States this far outside a window still tell the state at its ends.
 _MARGIN_S = 1.0
-#: Of windows that are handed over so long before too.
-_BEHIND_S = 20.0
+#: Of windows that are handed over so long before too, and of a scene's so long after: its way to the goal.
+_BEHIND_S = _AHEAD_S = 20.0
 #: No log is cut into more windows than this.
 _MOST_WINDOWS = 1_000_000
 
@@ -145,7 +145,8 @@ def window_spans(log: Log, config: Config) -> list[Span]:
         )
     offsets = range(0, span, stride)
     spans = ((start + offset, min(horizon, span - offset), index) for index, offset in enumerate(offsets))
-    return [whole for whole in spans if whole[1] >= unit_ns]
+    # One that begins after another has reached the end would tell nothing more.
+    return [whole for whole in spans if whole[1] >= unit_ns and whole[2] * stride + horizon - stride < span]
 
 
 def log_parts(log: Log, config: Config, indices: Iterable[int] | None = None) -> Iterator[LogPart]:
@@ -175,11 +176,13 @@ def log_parts(log: Log, config: Config, indices: Iterable[int] | None = None) ->
     times = ordered["time_ns"].to_numpy()
     margin = seconds_to_ns(_MARGIN_S)
     # Who was handed over may be far behind its recording: the path that it follows is told too.
-    behind = seconds_to_ns(_BEHIND_S) if config.window.start == "handed_over" else margin
+    chained = config.window.start == "handed_over"
+    behind = seconds_to_ns(_BEHIND_S) if chained else margin
+    ahead = seconds_to_ns(_AHEAD_S) if chained and not traffic else margin
     for index in wanted:
         start_ns, length_ns, _ = spans[index]
         first = int(np.searchsorted(times, start_ns - behind, side="left"))
-        end = int(np.searchsorted(times, start_ns + length_ns + margin, side="right"))
+        end = int(np.searchsorted(times, start_ns + length_ns + ahead, side="right"))
         states = ordered.slice(first, end - first).sort("_place").drop("_place")
         near = scene_near(log.scene, states.select("x_m", "y_m").to_numpy())
         yield LogPart(spans[index], states, near, traffic, parked, Road.of(near) if traffic else None)

@@ -9,13 +9,16 @@ import numpy as np
 import polars as pl
 import pytest
 
+from istc_replay.bench import recorded_log
 from istc_replay.config import Config, parse_config
 from istc_replay.datatypes import Log, StaticScene, Verdict
 from istc_replay.errors import ScenarioError
 from istc_replay.pipeline.replay import Replay, replay_read
 from istc_replay.pipeline.windows import plan_windows
 from istc_replay.safety.certificate import certify
+from istc_replay.samples.scenes import find_sample
 from istc_replay.states import STATES_SCHEMA, conform
+from istc_replay.windows import window_spans
 
 CONFIG = """
 corridors.mode = "fast"
@@ -128,3 +131,49 @@ def test_from_the_recording_every_window_starts_anew(log: Log) -> None:
 def test_a_chain_is_planned_from_its_first_window_on(log: Log) -> None:
     with pytest.raises(ScenarioError, match="from the first on"):
         plan_windows(log, config(), [1])
+
+
+# --- a scene planned in steps ----------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def in_steps() -> Replay:
+    """Eight vehicles that cross, seven seconds at a time, whose goals lie beyond the first of them."""
+    window = 'window = { whole_log_s = 7.0, horizon_s = 7.0, stride_s = 3.0, start = "handed_over" }'
+    text = f'corridors.mode = "fast"\n{window}'
+    return replay_read(recorded_log(find_sample("dense_8").record()), parse_config(text))
+
+
+def test_a_scene_in_steps_is_certified_all_along_and_all_arrive_in_the_end(in_steps: Replay) -> None:
+    windows = in_steps.summary["windows"]
+    assert [w["status"] for w in windows] == ["certified"] * 3
+    assert [w["end_ns"] - w["start_ns"] for w in windows] == [7_000_000_000] * 3
+    assert {v["start"] for w in windows[1:] for v in w["vehicles"]} == {"handed_over"}
+    assert all(v["arrived"] is None for v in windows[0]["vehicles"])  # it is on its way
+    assert all(v["arrived"] for v in windows[-1]["vehicles"])
+    assert not any(w["reason"] for w in windows)
+
+
+def test_its_steps_make_one_motion_without_a_jump(in_steps: Replay) -> None:
+    planned = in_steps.result.states.filter(pl.col("source") == "planned").sort("window", "time_ns")
+    moved = 0.0
+    for window in (1, 2):
+        for vehicle in planned["vehicle_id"].unique():
+            own = planned.filter(pl.col("vehicle_id") == vehicle)
+            after = own.filter(pl.col("window") == window).head(1)
+            before = own.filter(pl.col("window") == window - 1, pl.col("time_ns") == after["time_ns"].item())
+            np.testing.assert_allclose(after.select(MOTION).row(0), before.select(MOTION).row(0), atol=1e-4)
+            recorded = in_steps.result.states.filter(
+                pl.col("source") == "recorded",
+                pl.col("vehicle_id") == vehicle,
+                (pl.col("time_ns") - after["time_ns"].item()).abs() < 60_000_000,
+            )
+            moved = max(moved, abs(recorded["x_m"].mean() - after["x_m"].item()))
+    assert moved > 0.3  # the plan, not the recording, goes on
+
+
+def test_windows_end_with_the_log_and_none_lies_within_another(log: Log) -> None:
+    spans = window_spans(log, config(stride=1.0))
+    ends = [start + length for start, length, _ in spans]
+    assert ends[-1] == max(ends)
+    assert len(set(ends)) == len(ends)

@@ -283,5 +283,9 @@ def _motion(participant: Participant, trajectory: Trajectory) -> dict[str, Any]:
         ahead = trajectory.dimensions.rear_axle_to_centre_m
         end = (x + ahead * np.cos(heading), y + ahead * np.sin(heading))
         distance = float(np.hypot(*(recording.poses[-1, :2] - end)))
-        found |= {"goal_distance_m": distance, "arrived": distance <= ARRIVED_M}
+        arrived = distance <= ARRIVED_M
+        found |= {
+            "goal_distance_m": distance,
+            "arrived": None if participant.goes_on and not arrived else arrived,
+        }
     return found

@@ -10,6 +10,10 @@ from istc_replay.datatypes import FloatArray, read_only
 from istc_replay.units import wrap_angle
 
 _REPEATED_M = 1e-3
+#: How a car speeds up to its constant speed, and steps that this is summed up in.
+_EASE_MPS2, _EASING = 1.0, 5
+#: Where a path comes by the same place twice, a radian of heading counts as much as this; samples of it.
+_HEADING_M, _PLACES_M = 3.0, 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,6 +73,14 @@ class Path:
         arc = self.arc_m[best] + np.hypot(*(nearest[best] - start[best]))
         return float(arc), float(distance[best])
 
+    def place(self, point_m: FloatArray, heading_rad: float) -> float:
+        """Arc length [m] at which a car with this position and heading is most likely on its way."""
+        arc = np.arange(0.0, self.length_m + _PLACES_M, _PLACES_M)
+        poses = self.at(np.minimum(arc, self.length_m))
+        turned = np.abs(wrap_angle(poses[:, 2] - heading_rad))
+        away = np.hypot(*(poses[:, :2] - point_m).T) + _HEADING_M * turned
+        return float(min(arc[int(np.argmin(away))], self.length_m))
+
 
 def polyline_headings(points_m: FloatArray) -> FloatArray:
     """Headings (P,) at the vertices of a polyline: of the chord across each vertex."""
@@ -96,6 +108,23 @@ def constant_speed_then_stop(
     braking = np.clip(times - cruise_s, 0.0, brake_s)
     cruising = speed * np.minimum(times, cruise_s)
     return np.asarray(cruising + speed * braking - deceleration_mps2 * braking**2 / 2.0)
+
+
+def eased(
+    times_s: FloatArray, start_mps: float, speed_mps: float, length_m: float, deceleration_mps2: float
+) -> FloatArray:
+    """Arc lengths (S,) from another speed to the constant one, braking to stand at the end of the path."""
+    times = np.asarray(times_s, dtype=np.float64)
+    arc, speed, here = [0.0], start_mps, 0.0
+    for seconds in np.diff(times):
+        step = float(seconds) / _EASING
+        for _ in range(_EASING):
+            speed = float(np.clip(speed_mps, speed - deceleration_mps2 * step, speed + _EASE_MPS2 * step))
+            # What is left is braked on; the last millimetres are not.
+            speed = min(speed, float(np.sqrt(2.0 * deceleration_mps2 * max(length_m - here, 0.0))))
+            here = min(here + speed * step, length_m)
+        arc.append(here)
+    return np.asarray(arc)
 
 
 def heading_near(heading_rad: float, other_rad: float) -> float:

@@ -90,7 +90,7 @@ def test_a_path_too_short_to_reach_the_speed_stops_at_its_end() -> None:
 def test_a_vehicle_that_never_moves_is_guided_to_stand() -> None:
     poses = np.tile([3.0, 4.0, 0.5], (31, 1))
     scenario = recorded(poses, np.zeros(31))
-    assert recorded_speed_mps(scenario.participants[0]) == 0.0
+    assert recorded_speed_mps(scenario.participants[0].recording) == 0.0
     guide = build_guidance(scenario, GuidanceConfig())[0]
     np.testing.assert_allclose(guide.points_m, np.tile([3.0, 4.0], (4, 1)))
 
