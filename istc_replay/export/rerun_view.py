@@ -43,6 +43,8 @@ APPLICATION_ID = "istc-replay"
 #: The longest that a part of a view may take to be written [s].
 _FLUSH_S = 300.0
 _PIECE_BYTES = 2**20
+#: The file of a result with more windows has no footer.
+_FOOTER_WINDOWS = 128
 #: Gives the parts of a result in order of time, each time that it is called.
 Parts = Callable[[], Iterator[Result]]
 
@@ -240,17 +242,22 @@ def write_view(
         If the file cannot be written.
     """
     recording = new_recording(result)
-    with atomic_file(path) as temporary, temporary.open("wb") as file, _piped(recording, file):
+    with (
+        atomic_file(path) as temporary,
+        temporary.open("wb") as file,
+        _piped(recording, file, footer=len(result.summary["windows"]) <= _FOOTER_WINDOWS),
+    ):
         rr.send_blueprint(opening.blueprint, make_active=True, make_default=True, recording=recording)
         for _ in send_result(result, config, opening.focus, recording, parts):
             recording.flush(timeout_sec=_FLUSH_S)
 
 
 @contextmanager
-def _piped(recording: rr.RecordingStream, file: BinaryIO) -> Iterator[None]:
+def _piped(recording: rr.RecordingStream, file: BinaryIO, *, footer: bool) -> Iterator[None]:
     """Let a recording's bytes go to a file, in which all of them are after the block.
 
     Rerun's own file writer fails without a word when the disk is full, so that it writes to a pipe.
+    For the footer, a list of all chunks, it would keep some kilobytes a chunk in memory.
     """
     reading, writing = os.pipe()
     refused: list[OSError] = []
@@ -267,7 +274,7 @@ def _piped(recording: rr.RecordingStream, file: BinaryIO) -> Iterator[None]:
     thread = threading.Thread(target=pump, daemon=True)
     thread.start()
     try:
-        recording.save(f"/dev/fd/{writing}")
+        recording.save(f"/dev/fd/{writing}", write_footer=footer)
     finally:
         os.close(writing)
     try:
