@@ -11,7 +11,8 @@ from istc_replay.bench import recorded_log
 from istc_replay.config import Config
 from istc_replay.coordinate import Planners, plan_part
 from istc_replay.corridors.formulation import default_limits
-from istc_replay.corridors.solve import solve_corridors
+from istc_replay.corridors.seeded import Seeds
+from istc_replay.corridors.solve import find_corridors, solve_corridors
 from istc_replay.datatypes import Corridors, Guidance, Scenario, SolveStatus, WindowPlan
 from istc_replay.guidance.build import build_guidance
 from istc_replay.samples.scenes import find_sample
@@ -92,3 +93,19 @@ def test_a_conflict_that_is_left_is_named_with_its_unit(among_obstacles: Case) -
     assert found.reason.startswith("conflict left: ")
     assert " in time unit " in found.reason
     assert found.culprits
+
+
+def test_who_cannot_be_driven_moves_otherwise_in_the_next_attempt(among_obstacles: Case) -> None:
+    scenario, guidance, config = among_obstacles
+    limits = {p.vehicle_id: default_limits(config.corridors) for p in scenario.participants}
+    seeds = Seeds()
+    first, _ = find_corridors(scenario, guidance, config.corridors, limits, 10.0, seeds)
+    assert first.corridors
+    assert seeds.grown is not None
+    before, number = seeds.grown.repair.motions[0], seeds.grown.repair.seed
+    seeds.again([(0, 6)])
+    second, _ = find_corridors(scenario, guidance, config.corridors, limits, 10.0, seeds)
+    assert second.corridors
+    after = seeds.grown.repair.motions[0]
+    assert seeds.grown.repair.seed == number
+    assert (after.path, after.places[6:8].tolist()) != (before.path, before.places[6:8].tolist())
