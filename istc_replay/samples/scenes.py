@@ -24,7 +24,8 @@ STRAIGHT_FIRST = {"1": 0.50, "2": 0.40, "3": 0.01}
 _STEERING_MAX_RAD = 0.6
 _DECELERATION_MPS2 = 2.0
 _STANDING_S = 3  # recorded after the last arrival
-_STANDING_CROWDED_S = 6  # the same where openings are passed in turn, or a second for each vehicle
+_STANDING_CROWDED_S = 6  # the same where openings are passed in turn
+_MANY, _STANDING_MANY_S = 6, 8  # the same by so many vehicles
 _ONE_WINDOW_S = 20  # unless that made a second window
 _DURATION_MAX_S = 900
 _COUNTS = {4: "four", 6: "six", 8: "eight"}
@@ -137,8 +138,8 @@ def record(scene: SceneFile, settings: GuidanceConfig | None = None) -> Recorded
     arrival_s = math.ceil(max(drive.pace.arrival_s for drive in drives) - 1e-9)
     standing_s = _STANDING_S
     if crowded:
-        in_turn_s = min(len(scene.vehicles), _ONE_WINDOW_S - arrival_s)
-        standing_s = max(_STANDING_CROWDED_S, in_turn_s)
+        wanted_s = _STANDING_MANY_S if len(scene.vehicles) >= _MANY else _STANDING_CROWDED_S
+        standing_s = max(_STANDING_CROWDED_S, min(wanted_s, _ONE_WINDOW_S - arrival_s))
     duration_s = arrival_s + standing_s
     if duration_s > _DURATION_MAX_S:
         raise ScenarioError(
