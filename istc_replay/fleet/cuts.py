@@ -25,8 +25,7 @@ class Cuts:
 
     def cut(self, job: Job, windows: int) -> list[Job]:
         """Cut a log into jobs of at most `job.cut` windows each, of equal size but for one window."""
-        # A window alone is not kept for the join, so a part has two at least.
-        parts = max(1, min(-(-windows // job.cut), windows // 2))
+        parts = -(-windows // job.cut)
         bounds = [windows * i // parts for i in range(parts + 1)]
         self._cuts[job.location] = _Cut(job, parts)
         return [replace(job, windows=span) for span in pairwise(bounds)]
