@@ -487,6 +487,10 @@ class Certificate:
     detail: str = ""
 
 
+#: A vehicle that ends its recording standing has arrived where its plan ends this near.
+ARRIVED_M = 1.0
+
+
 class WindowStatus(StrEnum):
     """How a window ended."""
 

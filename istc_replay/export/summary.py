@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import polars as pl
 
-from istc_replay.datatypes import SOUND, Verdict
+from istc_replay.datatypes import ARRIVED_M, SOUND, Verdict
 from istc_replay.guidance.build import STANDING_MPS
 from istc_replay.ingest.result import SUMMARY_SCHEMA
 from istc_replay.safety.certificate import overall
@@ -36,8 +36,6 @@ if TYPE_CHECKING:
 #: Findings that the summary lists, worst first.
 _WORST = 20
 _OF_THE_WINDOW = ("window", "vehicle_id", "start_ns", "end_ns")
-#: A vehicle that ends its recording standing has arrived where its plan ends this near.
-ARRIVED_M = 1.0
 
 
 def summarise(
