@@ -25,7 +25,7 @@ CUT = {"window": {"whole_log_s": 4.0, "horizon_s": 4.0, "stride_s": 3.0}, "corri
 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The first sample, which the settings `CUT` cut into four windows."""
+    """The first sample, which the settings `CUT` cut into three windows."""
     path = tmp_path_factory.mktemp("live") / "turn.mcap"
     sample = SAMPLES["intersection_turn_first"]
     path.write_bytes(sample_bytes(sample.record(), sample.format))
@@ -95,14 +95,14 @@ def test_windows_of_a_growing_result_lie_in_one_time_and_place(
     monkeypatch.setattr(watched, "_end", lambda: None)
     plan_windows(read, config, seen=lambda outcome: watched.window(read, config, outcome))
     assert not watched.lost
-    assert len(parts) == 4
+    assert len(parts) == 3
     origins = {(stage.clock.origin_ns, stage.origin_m, stage.metres_per_second) for stage, _ in parts}
     assert len(origins) == 1
     spans = [stage.spans[0] for stage, _ in parts]
-    assert np.diff([span.start_ns for span in spans]).tolist() == [3 * S] * 3
+    assert np.diff([span.start_ns for span in spans]).tolist() == [3 * S] * 2
     # Each is shown until the next begins.
     assert [span.shown_end_ns for span in spans[:-1]] == [span.start_ns for span in spans[1:]]
-    assert [anchor.until_ns is not None for _, anchor in parts] == [True, True, True, False]
+    assert [anchor.until_ns is not None for _, anchor in parts] == [True, True, False]
     assert [stage.first_ns for stage, _ in parts] == [span.start_ns for span in spans]
     # Windows that begin in the middle of the recorded conflict have no plan.
     assert parts[0][0].result.states.filter(pl.col("source") == "planned").height
@@ -112,5 +112,5 @@ def test_a_viewer_that_is_not_there_does_not_stop_the_run(log: Path, tmp_path: P
     watched = LiveView("rerun+http://127.0.0.1:9/proxy")
     done = run_log(log, tmp_path / "out", Config.model_validate(CUT), live=watched)
     assert "no viewer answers" in watched.lost
-    assert done.summary["totals"]["windows"] == 4
+    assert done.summary["totals"]["windows"] == 3
     assert (tmp_path / "out" / "view.rrd").stat().st_size > 10_000
