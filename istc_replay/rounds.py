@@ -122,7 +122,8 @@ class Rounds:
         outcomes = self._trajectories(corridors)
         undrivable = tuple(o.undrivable for o in outcomes if o.undrivable is not None)
         found = tuple(o.trajectory for o in outcomes if o.trajectory is not None)
-        late = {} if undrivable else self._late(found)
+        # Goals are a scene's: of traffic only a part of each way is in the window.
+        late = {} if undrivable or self.ready.scenario.traffic else self._late(found)
         if undrivable or late:
             self.stuck = self.leave_the_tree()
             if self.stuck:
@@ -137,7 +138,7 @@ class Rounds:
         reason = "; ".join(filter(None, [_late_text(late), corridors.reason]))
         # Not certified until the certificate has said so.
         plan = self._plan(WindowStatus.NOT_CERTIFIED, reason, corridors, trajectories=found)
-        plan = replace(plan, late=() if self.ready.scenario.traffic else tuple(late))
+        plan = replace(plan, late=tuple(late))
         rank = (len(late), corridors.objective or 0.0)
         if self.kept is None or rank < self.kept[0]:
             self.kept = (rank, plan, self.search)
