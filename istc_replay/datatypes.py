@@ -342,7 +342,8 @@ class Guidance:
     first at its start; `times_s` (S,) from the window's start and `poses` (S, 3) for drawing
     and as the NLP's first guess. `kind` is recorded or lane. `slack_rad` (K+1,) is how far from
     its heading the car may turn, None where the configuration tells it. `motion` is the drivable
-    motion that it tells of, where there is one: a plan that needs no change.
+    motion that it tells of, where there is one: a plan that needs no change. `others` are other
+    routes (R, 3) of the rear axle between its ends, in a crowded scene.
     """
 
     vehicle_id: str
@@ -354,6 +355,7 @@ class Guidance:
     poses: FloatArray
     slack_rad: FloatArray | None = None
     motion: Trajectory | None = None
+    others: tuple[FloatArray, ...] = ()
 
 
 class SolveStatus(StrEnum):

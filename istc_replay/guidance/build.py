@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 from istc_replay.datatypes import FloatArray, Guidance, read_only
+from istc_replay.guidance.other_routes import other_routes, standing_obstacles
 from istc_replay.guidance.path import Path, constant_speed, constant_speed_then_stop, eased
 from istc_replay.road_frame import heading_slack
 
@@ -27,9 +29,17 @@ def build_guidance(scenario: Scenario, config: GuidanceConfig) -> tuple[Guidance
     """Build the guidance of every participant, in their order.
 
     A constant speed is given to the path (the paper's rule): the configured one, or the recorded
-    mean while moving. A vehicle that stands at the end of its recording brakes to stand there.
+    mean while moving. A vehicle that stands at the end of its recording brakes to stand there. In a
+    crowded scene it knows of other routes, too.
     """
-    return tuple(_guidance(p, scenario.window.unit_s, config) for p in scenario.participants)
+    built = tuple(_guidance(p, scenario.window.unit_s, config) for p in scenario.participants)
+    if not scenario.crowded:
+        return built
+    obstacles = standing_obstacles(scenario)
+    return tuple(
+        replace(guide, others=other_routes(guide.poses, p.dimensions, scenario.bounds_m, obstacles))
+        for p, guide in zip(scenario.participants, built, strict=True)
+    )
 
 
 def recorded_guidance(

@@ -21,7 +21,7 @@ from istc_replay.guidance.ways import ways_round
 
 #: Sharp paths along taut lines pulled taut at most, and how far into obstacles they may lead.
 _TRIES = 4
-_HOPELESS_M = 2.0
+HOPELESS_M = 2.0
 #: Turning radii of the search between the preferred one and the least.
 _RADII_M = (5.0, 4.6)
 #: The search asks for this much more room than the path needs: smoothing takes some.
@@ -70,12 +70,12 @@ def along_taut_lines(ends: FloatArray, limits: Limits, traffic: Traffic | None) 
         path = paths[number]
         if extra_m is None:
             poses = path.poses(_COARSE_STEP_M)
-            if limits.clearance.lacks(poses).max() <= _HOPELESS_M:
+            if limits.clearance.lacks(poses).max() <= HOPELESS_M:
                 extra_m = 0.0 if traffic is None else traffic.cost_m(poses[:, :2], _COARSE_STEP_M)
                 heapq.heappush(queue, (path.length_m + extra_m, number, extra_m))
             continue
         tried += 1
-        curve, _ = _pulled_taut(path, goal, limits)
+        curve, _ = pulled_taut(path, goal, limits)
         if curve is not None and curve.length_m + extra_m < least_m:
             best, least_m = curve, curve.length_m + extra_m
     return best
@@ -129,7 +129,7 @@ def _searched_at(
         if chain is None:
             break
         path = with_ramps(start, *arcs_of(chain, space), ramp_m)
-        curve, worst = _pulled_taut(path, goal, limits)
+        curve, worst = pulled_taut(path, goal, limits)
         if curve is not None:
             return curve, False
         if worst is None:
@@ -139,7 +139,7 @@ def _searched_at(
     return None, False
 
 
-def _pulled_taut(path: Sharp, goal: Pose, limits: Limits) -> tuple[Curve | None, FloatArray | None]:
+def pulled_taut(path: Sharp, goal: Pose, limits: Limits) -> tuple[Curve | None, FloatArray | None]:
     """A path pulled taut if it can be driven; else the pose (3,) where it comes too near, if that is why."""
     nearby = limits.clearance.near(path.poses(_LOOK_STEP_M), _ASIDE_M)
     worst = None

@@ -107,6 +107,26 @@ def detours(
     return [path for path in found if path is not None]
 
 
+def along_others(
+    guide: Guidance,
+    car: Dimensions,
+    boxes_m: FloatArray,
+    bounds_m: tuple[float, float, float, float] | None,
+    gap_m: float,
+) -> list[SeedPath]:
+    """More paths of the same kind: along the other routes of a guidance, as they are and drawn clear.
+
+    Parameters are those of `candidate_paths`.
+    """
+    found = []
+    for route in guide.others:
+        found.append(_seed_path(route, car, guide.speed_mps))
+        for room in _DETOUR_ROOMS_M:
+            clear = drawn_clear(route, car, boxes_m, bounds_m, gap_m + room)
+            found.append(_seed_path(clear, car, guide.speed_mps))
+    return [path for path in found if path is not None]
+
+
 def _axle_path(guide: Guidance, car: Dimensions) -> FloatArray:
     """The path (S, 3) of the rear axle by even arc lengths."""
     x, y, turned = guide.poses.T

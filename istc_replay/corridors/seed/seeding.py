@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from istc_replay.corridors.seed.lattice import CLEAR_M, Lattice
-from istc_replay.corridors.seed.paths import SeedPath, candidate_paths, detours
+from istc_replay.corridors.seed.paths import SeedPath, along_others, candidate_paths, detours
 from istc_replay.corridors.seed.repair import Repair
 from istc_replay.datatypes import FloatArray, Guidance, read_only
 
@@ -53,6 +53,8 @@ def make_lattices(
         if len(standing) and len(clear) < _FEW_PATHS:
             more = detours(guide, car, standing, scenario.bounds_m, gap)
             clear += _reachable(along(more)) if more else []
+        more = along_others(guide, car, standing, scenario.bounds_m, gap)
+        clear += _reachable(along(more)) if more else []
         return along(clear, overlap_max_m=CLEAR_M) if clear else all_of_them
 
     return tuple(lattice(p, g) for p, g in zip(scenario.participants, guidance, strict=True))

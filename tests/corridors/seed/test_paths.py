@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from istc_replay.corridors.seed.paths import candidate_paths, detours
+from istc_replay.corridors.seed.paths import along_others, candidate_paths, detours
 from istc_replay.datatypes import Dimensions, read_only
 
 CAR = Dimensions(4.0, 2.0, 2.7, 1.35)
@@ -39,6 +39,27 @@ def test_detours_lead_through_other_openings(meeting: Any) -> None:
     at_the_wall = [float(np.interp(0.0, path.poses[:, 0], path.poses[:, 1])) for path in found]
     assert any(-1.5 < y < 1.5 for y in at_the_wall)
     assert any(6.5 < y < 9.5 for y in at_the_wall)
+
+
+def test_the_guidances_other_routes_are_candidates_as_they_are_and_drawn_clear(meeting: Any) -> None:
+    block = np.array([[-2.0, 2.0, -2.0, 2.0]])
+    _, (guide, *_), _ = meeting(
+        [(-15.0, 0.0, 0.0), (-15.0, 20.0, 0.0), (-15.0, -20.0, 0.0), (-15.0, 10.0, 0.0)],
+        boxes=(tuple(block[0]),),
+    )
+    assert guide.others
+    found = along_others(guide, CAR, block, (-25.0, 25.0, -25.0, 25.0), 0.2)
+    assert len(found) > len(guide.others)
+    at_the_block = [float(np.interp(0.0, path.poses[:, 0], path.poses[:, 1])) for path in found]
+    assert min(at_the_block) < -3.0
+    assert max(at_the_block) > 3.0
+    for path in found:
+        assert np.allclose(path.poses[[0, -1], :2], [[-15.0, 0.0], [15.0, 0.0]], atol=0.1)
+
+
+def test_scenes_that_are_not_crowded_have_no_other_routes(meeting: Any) -> None:
+    _, guidance, _ = meeting([(-15.0, 0.0, 0.0)], boxes=((-2.0, 2.0, -2.0, 2.0),))
+    assert guidance[0].others == ()
 
 
 def test_who_stays_has_one_way(meeting: Any) -> None:
