@@ -25,7 +25,8 @@ _MARGINS_M = (0.5, 1.2)
 _SLACK_RAD = 0.1
 #: Sharp paths pulled taut at each margin, and how much longer than the guidance's they may be.
 _TRIES, _LONGER = 4, 1.2
-_LEAST_RADIUS_M, _RADIUS_M = 4.2, 5.5
+#: Wide bends: a car-box needs little slack in them, so that layer 2 can follow.
+_LEAST_RADIUS_M, _RADIUS_M = 5.0, 7.0
 #: Change of curvature per metre, times the wheelbase.
 _SHARPNESS = 0.135
 _STEP_M, _COARSE_STEP_M = 0.25, 0.5

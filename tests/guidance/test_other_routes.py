@@ -37,7 +37,7 @@ def test_other_routes_lead_from_end_to_end_and_can_be_steered() -> None:
         steps = np.hypot(*np.diff(route[:, :2], axis=0).T)
         assert steps.max() <= 0.25 + 1e-9
         assert steps.sum() <= 1.2 * 36.0
-        assert np.abs(np.diff(route[:, 2]) / steps).max() <= 1.0 / 4.2 + 1e-3
+        assert np.abs(np.diff(route[:, 2]) / steps).max() <= 1.0 / 5.0 + 1e-3
 
 
 def test_no_two_other_routes_are_alike() -> None:
