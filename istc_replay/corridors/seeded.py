@@ -37,6 +37,7 @@ class Seeds:
 
     attempt: int = 0
     lattices: tuple[Lattice, ...] = ()
+    others: bool = False  # whether the lattices have other routes: all but those of the first attempt
     grown: _Growth | None = None  # the seed of the incumbent
     resumed: bool = False
 
@@ -77,9 +78,10 @@ def search_seeds(
     str
         Why there is no incumbent, where there is none.
     """
-    if not seeds.lattices:
+    if not seeds.lattices or (seeds.attempt > 0 and not seeds.others):
         began = time.perf_counter()
-        seeds.lattices = make_lattices(scenario, guidance, config)
+        seeds.others = seeds.attempt > 0
+        seeds.lattices = make_lattices(scenario, guidance, config, others=seeds.others)
         paths = sum(lattice.shape[1] for lattice in seeds.lattices)
         search.record("seed paths", "numpy", SolveStatus.FEASIBLE, began, nodes=paths)
     names = [participant.vehicle_id for participant in scenario.participants]

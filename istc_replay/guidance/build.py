@@ -30,7 +30,7 @@ def build_guidance(scenario: Scenario, config: GuidanceConfig) -> tuple[Guidance
 
     A constant speed is given to the path (the paper's rule): the configured one, or the recorded
     mean while moving. A vehicle that stands at the end of its recording brakes to stand there. In a
-    crowded scene it knows of other routes, too.
+    crowded scene it can tell other routes, too.
     """
     built = tuple(_guidance(p, scenario.window.unit_s, config) for p in scenario.participants)
     if not scenario.crowded:

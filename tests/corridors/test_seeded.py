@@ -109,3 +109,15 @@ def test_who_cannot_be_driven_moves_otherwise_in_the_next_attempt(among_obstacle
     after = seeds.grown.repair.motions[0]
     assert seeds.grown.repair.seed == number
     assert (after.path, after.places[6:8].tolist()) != (before.path, before.places[6:8].tolist())
+
+
+def test_attempts_after_the_first_have_other_routes_too(among_obstacles: Case) -> None:
+    scenario, guidance, config = among_obstacles
+    settings = config.corridors
+    limits = {p.vehicle_id: default_limits(settings) for p in scenario.participants}
+    seeds = Seeds()
+    find_corridors(scenario, guidance, settings, limits, 10.0, seeds)
+    first = [lattice.shape[1] for lattice in seeds.lattices]
+    seeds.again()
+    find_corridors(scenario, guidance, settings, limits, 10.0, seeds)
+    assert sum(lattice.shape[1] for lattice in seeds.lattices) > sum(first)

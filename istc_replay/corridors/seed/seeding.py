@@ -24,9 +24,9 @@ _FEW_PATHS = 6
 
 
 def make_lattices(
-    scenario: Scenario, guidance: Sequence[Guidance], config: CorridorsConfig
+    scenario: Scenario, guidance: Sequence[Guidance], config: CorridorsConfig, *, others: bool = False
 ) -> tuple[Lattice, ...]:
-    """The lattice of every participant."""
+    """The lattice of every participant, with `others` along the other routes of its guidance too."""
     boxes = [o.boxes_m[0] for o in scenario.obstacles if (o.boxes_m == o.boxes_m[0]).all()]
     standing = np.array(boxes).reshape(-1, 4)
 
@@ -53,8 +53,9 @@ def make_lattices(
         if len(standing) and len(clear) < _FEW_PATHS:
             more = detours(guide, car, standing, scenario.bounds_m, gap)
             clear += _reachable(along(more)) if more else []
-        more = along_others(guide, car, standing, scenario.bounds_m, gap)
-        clear += _reachable(along(more)) if more else []
+        if others:
+            more = along_others(guide, car, standing, scenario.bounds_m, gap)
+            clear += _reachable(along(more)) if more else []
         return along(clear, overlap_max_m=CLEAR_M) if clear else all_of_them
 
     return tuple(lattice(p, g) for p, g in zip(scenario.participants, guidance, strict=True))
