@@ -1,0 +1,31 @@
+"""Logs planned from memory, without any file."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from istc_replay.config import Config
+from istc_replay.coordinate import Planners, plan_part
+from istc_replay.datatypes import Log, WindowPlan
+from istc_replay.pipeline.replay import Replay, replay_read
+from istc_replay.windows import LogPart, log_parts, settled_config
+
+FAST = Config.model_validate({"corridors": {"mode": "fast"}})
+
+
+def first_part(log: Log, config: Config) -> LogPart:
+    """The part of the log's first window."""
+    return next(log_parts(log, config))
+
+
+def planned(log: Log, config: Config = FAST) -> WindowPlan:
+    """The plan of the log's first window."""
+    settled = settled_config(log, config)
+    return plan_part(first_part(log, settled), settled, Planners(settled))
+
+
+def replayed(log: Log, config: Config = FAST) -> tuple[Replay, dict[str, Any]]:
+    """The replay of a log and its one window."""
+    done = replay_read(log, config)
+    (window,) = done.summary["windows"]
+    return done, window
