@@ -13,8 +13,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from istc_replay.audit_config import AuditConfig
-from istc_replay.config import Config
+from istc_replay.config import AuditConfig, Config
 from istc_replay.datatypes import FloatArray, Result
 from istc_replay.geometry import to_frame, to_map
 from istc_replay.safety.bodies import Body, recorded_bodies

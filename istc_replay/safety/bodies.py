@@ -8,8 +8,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from istc_replay.audit_config import AuditConfig
-from istc_replay.config import VehiclesConfig
+from istc_replay.config import AuditConfig, VehiclesConfig
 from istc_replay.datatypes import FloatArray
 from istc_replay.safety.recorded import Track
 from istc_replay.units import NS_PER_S

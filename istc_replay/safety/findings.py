@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from istc_replay.audit_config import AuditConfig
+from istc_replay.config import AuditConfig
 from istc_replay.datatypes import FloatArray, Verdict
 from istc_replay.safety.bodies import Body
 from istc_replay.safety.events import Event, find_events

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import polars as pl
 
-from istc_replay.audit_config import AuditConfig
+from istc_replay.config import AuditConfig
 from istc_replay.datatypes import FloatArray
 
 SEVERITIES = ("minor", "serious", "critical")

@@ -13,7 +13,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from istc_replay.audit_config import AuditConfig
+from istc_replay.config import AuditConfig
 from istc_replay.datatypes import FloatArray
 from istc_replay.safety.bodies import Body
 from istc_replay.safety.boxes import box_gap

@@ -9,7 +9,7 @@ import polars as pl
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 
-from istc_replay.audit_config import AuditConfig
+from istc_replay.config import AuditConfig
 from istc_replay.datatypes import FloatArray
 from istc_replay.safety.bodies import Body
 from istc_replay.safety.smoothing import pieces_of, smoothed

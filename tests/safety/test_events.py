@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from istc_replay.audit_config import AuditConfig
+from istc_replay.config import AuditConfig
 from istc_replay.safety.events import Event, find_events
 from istc_replay.safety.smoothing import pieces_of, smoothed
 from istc_replay.safety.vehicle_samples import fit_samples

@@ -12,8 +12,7 @@ import polars as pl
 import pytest
 from numpy.typing import NDArray
 
-from istc_replay.audit_config import AuditConfig
-from istc_replay.config import Config, parse_config
+from istc_replay.config import AuditConfig, Config, parse_config
 from istc_replay.datatypes import Log, Verdict
 from istc_replay.errors import LogError
 from istc_replay.ingest.log import read_log

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from istc_replay.audit_config import AuditConfig
+from istc_replay.config import AuditConfig
 from istc_replay.safety.pair_samples import rss_parameters
 from istc_replay.safety.relation import CONFLICT_TYPES, conflict_angle, conflict_type, delta_v, headway
 from istc_replay.safety.rss import (

@@ -10,7 +10,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, model_validator
 
-from istc_replay.sections import Count, NonNegative, Positive, Section
+from istc_replay.config.sections import Count, NonNegative, Positive, Section
 
 Angle = Annotated[float, Field(gt=0, le=3.141592653589793)]
 #: Keys of levels, least severe first, and whether smaller values are worse.
