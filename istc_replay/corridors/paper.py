@@ -12,7 +12,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from istc_replay.corridors.formulation import apart, assemble, make_block
+from istc_replay.corridors.blocks import make_block
+from istc_replay.corridors.formulation import assemble
 from istc_replay.corridors.problem import (
     CONSTANT,
     X_MAX,
@@ -24,6 +25,7 @@ from istc_replay.corridors.problem import (
     Limits,
     Rows,
 )
+from istc_replay.corridors.rows import apart
 from istc_replay.datatypes import FloatArray
 
 if TYPE_CHECKING:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import daqp
 import numpy as np
 
-from istc_replay.corridors.formulation import car_box_m
+from istc_replay.corridors.blocks import car_box_m
 from istc_replay.datatypes import Dimensions, FloatArray
 from istc_replay.geometry import shift_along
 

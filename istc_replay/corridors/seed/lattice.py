@@ -13,7 +13,7 @@ import numpy as np
 from numpy.lib.stride_tricks import as_strided
 from numpy.typing import NDArray
 
-from istc_replay.corridors.formulation import car_box_m
+from istc_replay.corridors.blocks import car_box_m
 from istc_replay.corridors.seed.paths import LEVEL_M, SeedPath
 from istc_replay.datatypes import FloatArray, Guidance, Obstacle, Participant
 

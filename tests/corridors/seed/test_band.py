@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from istc_replay.corridors.formulation import car_box_m
+from istc_replay.corridors.blocks import car_box_m
 from istc_replay.corridors.seed.band import drawn_clear
 from istc_replay.datatypes import Dimensions
 from istc_replay.geometry import shift_along
