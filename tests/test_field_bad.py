@@ -17,7 +17,8 @@ from istc_replay.config import parse_config
 from istc_replay.datatypes import StaticScene
 from istc_replay.export.sample_log import sample_bytes
 from istc_replay.samples.drive import RecordedScene
-from istc_replay.states import STATES_SCHEMA, conform
+
+from .support.tracks import driver
 
 FAST = 'corridors.mode = "fast"\nwindow.rules = "traffic"\n'
 
@@ -30,20 +31,7 @@ def car(
     vehicle_id: str, lane_m: float = 0.0, speed_mps: float = 12.0, hz: float = 10.0, **columns: Any
 ) -> pl.DataFrame:
     """A car on a straight lane for three seconds."""
-    count = round(3.0 * hz) + 1
-    times = np.arange(count) / hz
-    values = {
-        "vehicle_id": [vehicle_id] * count,
-        "time_ns": np.round(times * 1e9).astype(np.int64),
-        "x_m": speed_mps * times,
-        "y_m": np.full(count, lane_m),
-        "heading_rad": np.zeros(count),
-        "speed_mps": np.full(count, speed_mps),
-        "length_m": np.full(count, 4.5),
-        "width_m": np.full(count, 1.8),
-        "role": ["vehicle"] * count,
-    } | columns
-    return conform(pl.DataFrame(values), STATES_SCHEMA)
+    return driver(vehicle_id, lane_m, 0.0, speed_mps, 3.0, hz, **columns)
 
 
 def far(track: pl.DataFrame, metres: float) -> pl.DataFrame:

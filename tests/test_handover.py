@@ -11,14 +11,15 @@ import pytest
 
 from istc_replay.bench import recorded_log
 from istc_replay.config import Config, parse_config
-from istc_replay.datatypes import Log, StaticScene, Verdict
+from istc_replay.datatypes import Log, Verdict
 from istc_replay.errors import ScenarioError
 from istc_replay.pipeline.replay import Replay, replay_read
 from istc_replay.pipeline.windows import plan_windows
 from istc_replay.safety.certificate import certify
 from istc_replay.samples.scenes import find_sample
-from istc_replay.states import STATES_SCHEMA, conform
 from istc_replay.windows import window_spans
+
+from .support.tracks import driver, log_of
 
 CONFIG = """
 corridors.mode = "fast"
@@ -35,27 +36,9 @@ def config(stride: float = 3.0, start: str = "handed_over") -> Config:
 @pytest.fixture(scope="module")
 def log() -> Log:
     """A car that comes close to a slower one, which leaves after 5.9 s, and one that stays apart."""
-    tracks = []
-    for name, lane, ahead, speed, last in (
-        ("1", 0.0, 0.0, 12.0, 9.0),
-        ("2", 0.3, 16.0, 10.6, 5.9),
-        ("3", 7.0, -3.0, 13.0, 9.0),
-    ):
-        times = np.arange(round(last * 10) + 1) / 10.0
-        count = len(times)
-        values = {
-            "vehicle_id": [name] * count,
-            "time_ns": np.round(times * 1e9).astype(np.int64),
-            "x_m": ahead + speed * times,
-            "y_m": np.full(count, lane),
-            "heading_rad": np.zeros(count),
-            "speed_mps": np.full(count, speed),
-            "length_m": np.full(count, 4.5),
-            "width_m": np.full(count, 1.8),
-            "role": ["vehicle"] * count,
-        }
-        tracks.append(conform(pl.DataFrame(values), STATES_SCHEMA))
-    return Log("chain.mcap", "0" * 64, True, 0, 0, 0, 0, 0, 0, (), pl.concat(tracks), StaticScene(), ())
+    return log_of(
+        driver("1", 0.0, 0.0, 12.0, 9.0), driver("2", 0.3, 16.0, 10.6, 5.9), driver("3", 7.0, -3.0, 13.0, 9.0)
+    )
 
 
 @pytest.fixture(scope="module")

@@ -5,15 +5,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import polars as pl
 import pytest
 
-from istc_replay.config import Config, parse_config
-from istc_replay.coordinate import Planners, plan_part
+from istc_replay.config import parse_config
 from istc_replay.datatypes import LaneLine, Log, StaticScene, WindowPlan, read_only
 from istc_replay.lanes import lane_ahead
-from istc_replay.states import STATES_SCHEMA, conform
-from istc_replay.windows import log_parts, settled_config
+
+from .support.planning import planned
+from .support.tracks import driver, log_of
 
 
 def arc(turn: float, radius_m: float = 40.0) -> np.ndarray:
@@ -63,33 +62,21 @@ def test_a_vehicle_is_in_the_nearest_lane_that_heads_its_way_or_in_none() -> Non
     assert lane_ahead((), poses_along(way), 10.0) is None
 
 
-def log_of(speed: np.ndarray, *lanes: LaneLine) -> Log:
+def lane_log(speed: np.ndarray, *lanes: LaneLine) -> Log:
     """A car that drives 0.6 m to the left of the lane's line."""
-    count = len(speed)
-    values = {
-        "vehicle_id": ["1"] * count,
-        "time_ns": (np.arange(count) * 100_000_000).astype(np.int64),
-        "x_m": 2.0 + np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2.0) / 10.0]),
-        "y_m": np.full(count, 0.6),
-        "heading_rad": np.zeros(count),
-        "speed_mps": speed,
-        "length_m": np.full(count, 4.5),
-        "width_m": np.full(count, 1.8),
-        "role": ["vehicle"] * count,
-    }
-    states = conform(pl.DataFrame(values), STATES_SCHEMA)
-    return Log("a.mcap", "0" * 64, True, 0, 0, 0, 0, 0, 0, (), states, StaticScene(lanes), ())
+    way = 2.0 + np.concatenate([[0.0], np.cumsum((speed[1:] + speed[:-1]) / 2.0) / 10.0])
+    car = driver("1", 0.6, seconds=(len(speed) - 1) / 10.0, x_m=way, speed_mps=speed)
+    return log_of(car, scene=StaticScene(lanes))
 
 
-def planned(log: Log, text: str) -> WindowPlan:
-    """The plan of the log's first window."""
-    config: Config = settled_config(log, parse_config('corridors.mode = "fast"\n' + text))
-    return plan_part(next(log_parts(log, config)), config, Planners(config))
+def with_law(log: Log, text: str) -> WindowPlan:
+    """The plan of the log's first window, with some settings of guidance."""
+    return planned(log, parse_config('corridors.mode = "fast"\n' + text))
 
 
 def test_constant_speed_in_traffic_follows_the_lane_and_the_recording_is_the_default() -> None:
-    log = log_of(np.full(41, 12.0), *LANES)
-    plan = planned(log, 'guidance.law = "constant"')
+    log = lane_log(np.full(41, 12.0), *LANES)
+    plan = with_law(log, 'guidance.law = "constant"')
     (guide,) = plan.guidance
     assert guide.kind == "lane"
     frame = plan.scenario.window.frame
@@ -99,15 +86,15 @@ def test_constant_speed_in_traffic_follows_the_lane_and_the_recording_is_the_def
     np.testing.assert_allclose(np.diff(points[1:, 0]), 12.0 * plan.scenario.window.unit_s, atol=1e-6)
     assert plan.trajectories
     for text in ("", 'guidance = { law = "constant", source = "recorded" }'):
-        assert [each.kind for each in planned(log, text).guidance] == ["recorded"]
+        assert [each.kind for each in with_law(log, text).guidance] == ["recorded"]
     bare = replace(log, scene=StaticScene())
-    assert [each.kind for each in planned(bare, 'guidance.law = "constant"').guidance] == ["recorded"]
+    assert [each.kind for each in with_law(bare, 'guidance.law = "constant"').guidance] == ["recorded"]
 
 
 def test_who_is_recorded_to_stop_in_its_lane_is_guided_to_stop_there() -> None:
     speed = np.maximum(12.0 - 4.0 * np.arange(51) / 10.0, 0.0)
-    log = log_of(speed, *LANES)
-    plan = planned(log, 'guidance.law = "constant"')
+    log = lane_log(speed, *LANES)
+    plan = with_law(log, 'guidance.law = "constant"')
     (guide,) = plan.guidance
     frame = plan.scenario.window.frame
     end = guide.points_m[-1] @ np.array([np.cos(frame.yaw_rad), -np.sin(frame.yaw_rad)]) + frame.x_m

@@ -20,31 +20,12 @@ from istc_replay.pipeline.replay import Replay, replay_read
 from istc_replay.polyline import beside
 from istc_replay.road import Road
 from istc_replay.safety.certificate import certify
-from istc_replay.states import STATES_SCHEMA, conform
 from istc_replay.windows import log_parts, settled_config
 
-FAST = Config.model_validate({"corridors": {"mode": "fast"}})
+from .support.planning import FAST, replayed
+from .support.tracks import driver, log_of
+
 BOX = (4.5, 1.8)
-
-
-def driver(
-    vehicle_id: str, lane_m: Any = 0.0, ahead_m: float = 0.0, speed_mps: float = 12.0, seconds: float = 4.0
-) -> pl.DataFrame:
-    """A car on a straight road to the east."""
-    times = np.arange(round(seconds * 10) + 1) / 10.0
-    y = np.broadcast_to(np.asarray(lane_m, dtype=np.float64), times.shape)
-    values = {
-        "vehicle_id": [vehicle_id] * len(times),
-        "time_ns": np.round(times * 1e9).astype(np.int64),
-        "x_m": ahead_m + speed_mps * times,
-        "y_m": y,
-        "heading_rad": np.arctan2(np.gradient(y, times), speed_mps),
-        "speed_mps": np.full(len(times), speed_mps),
-        "length_m": np.full(len(times), BOX[0]),
-        "width_m": np.full(len(times), BOX[1]),
-        "role": ["vehicle"] * len(times),
-    }
-    return conform(pl.DataFrame(values), STATES_SCHEMA)
 
 
 def straight(name: str, left_m: float, right_m: float, last_m: float = 200.0) -> LaneLine:
@@ -54,21 +35,13 @@ def straight(name: str, left_m: float, right_m: float, last_m: float = 200.0) ->
     return LaneLine(name, read_only(beside(line, (left_m + right_m) / 2.0)), None, *sides)
 
 
-def log_of(tracks: Iterable[pl.DataFrame], *lanes: LaneLine, edges: tuple[RoadEdge, ...] = ()) -> Log:
+def road_log(tracks: Iterable[pl.DataFrame], *lanes: LaneLine, edges: tuple[RoadEdge, ...] = ()) -> Log:
     """A log of field data on a road."""
-    scene = StaticScene(lanes, road_edges=edges)
-    return Log("road.mcap", "0" * 64, True, 0, 0, 0, 0, 0, 0, (), pl.concat(list(tracks)), scene, ())
+    return log_of(*tracks, scene=StaticScene(lanes, road_edges=edges))
 
 
 #: A fast car that catches up with a slow one, which is 0.9 m to its right.
 PRESSED = (driver("1", 0.0, 0.0, 13.0), driver("2", -0.9, 9.0, 10.0))
-
-
-def window_of(log: Log, config: Config = FAST) -> tuple[Replay, dict[str, Any]]:
-    """The replay of a log and its one window."""
-    done = replay_read(log, config)
-    (window,) = done.summary["windows"]
-    return done, window
 
 
 def boxes_of(done: Replay) -> dict[str, list[shapely.Polygon]]:
@@ -94,12 +67,12 @@ def check_of(window: dict[str, Any]) -> dict[str, Any]:
 
 def test_a_plan_pressed_against_the_edge_stays_on_the_road() -> None:
     # Without a road the fast car swerves farther than the road would let it.
-    free, window = window_of(log_of(PRESSED))
+    free, window = replayed(road_log(PRESSED))
     most = max(box.bounds[3] for box in boxes_of(free)["1"])
     assert window["status"] == "certified"
     assert told(window)["1"]["bounds"] == [PATH]
     edge = most - 0.25
-    done, window = window_of(log_of(PRESSED, straight("1", edge, -4.0)))
+    done, window = replayed(road_log(PRESSED, straight("1", edge, -4.0)))
     assert window["status"] == "certified"
     road = shapely.box(-60.0, -4.0, 210.0, edge)
     boxes = boxes_of(done)
@@ -116,7 +89,7 @@ def test_a_plan_pressed_against_the_edge_stays_on_the_road() -> None:
 
 
 def test_in_a_lane_without_room_beside_cars_give_way_by_speed_alone() -> None:
-    done, window = window_of(log_of(PRESSED, straight("1", 1.05, -1.95)))
+    done, window = replayed(road_log(PRESSED, straight("1", 1.05, -1.95)))
     assert window["status"] == "certified"
     assert max(kept["excursion_m"] for kept in told(window).values()) < 0.01
     road = shapely.box(-60.0, -1.95, 210.0, 1.05)
@@ -124,13 +97,13 @@ def test_in_a_lane_without_room_beside_cars_give_way_by_speed_alone() -> None:
 
 
 def test_a_plan_too_near_to_the_edge_is_made_again_with_more_room() -> None:
-    log = log_of(PRESSED, straight("1", 1.05, -3.0))
-    _, window = window_of(log)
+    log = road_log(PRESSED, straight("1", 1.05, -3.0))
+    _, window = replayed(log)
     assert (window["status"], window["rounds"]) == ("certified", 2)
     assert 0.0 < told(window)["1"]["margin_m"] < 0.1
     # With neither another round nor finer time units, who would leave the road stays as recorded, by name.
     never = parse_config('corridors.mode = "fast"\nwindow.unit_s = 0.25\ntrajectories.feedback_rounds = 0')
-    _, window = window_of(log, never)
+    _, window = replayed(log, never)
     frozen = {each["vehicle_id"]: each for each in window["frozen"]}
     assert frozen["1"]["reason"] == "off_the_road"
     assert "of the road's edge" in frozen["1"]["detail"]
@@ -140,7 +113,9 @@ def test_a_recording_off_the_road_has_a_named_fallback() -> None:
     # It cuts 0.6 m across the kerb between 10 and 30 m.
     times = np.arange(41) / 10.0
     swerve = 1.6 * np.exp(-(((12.0 * times - 24.0) / 10.0) ** 2))
-    _, window = window_of(log_of((driver("1", swerve), driver("2", -4.0, 3.0)), straight("a", 1.9, -6.0)))
+    heading = np.arctan2(np.gradient(swerve, times), 12.0)
+    swerving = driver("1", y_m=swerve, heading_rad=heading)
+    _, window = replayed(road_log((swerving, driver("2", -4.0, 3.0)), straight("a", 1.9, -6.0)))
     assert window["status"] == "certified"
     one, two = told(window)["1"], told(window)["2"]
     assert (one["bounds"], two["bounds"]) == ([ROAD, RECORDING], [ROAD])
@@ -150,10 +125,10 @@ def test_a_recording_off_the_road_has_a_named_fallback() -> None:
 
 
 def test_where_the_road_is_not_told_the_path_bounds() -> None:
-    _, window = window_of(log_of((driver("1"), driver("2", 3.5, 4.0)), straight("a", 2.0, -2.0, 61.0)))
+    _, window = replayed(road_log((driver("1"), driver("2", 3.5, 4.0)), straight("a", 2.0, -2.0, 61.0)))
     assert told(window)["1"]["bounds"] == [ROAD]
     assert told(window)["2"]["bounds"] == [PATH]
-    _, window = window_of(log_of((driver("1", seconds=6.0),), straight("a", 2.0, -2.0, 61.0)))
+    _, window = replayed(road_log((driver("1", seconds=6.0),), straight("a", 2.0, -2.0, 61.0)))
     assert told(window)["1"]["bounds"] == [ROAD, PATH]
 
 
@@ -181,7 +156,7 @@ def test_a_turned_and_shifted_log_with_its_lanes_has_the_same_plan(
     angle_deg: float, shift_m: tuple[float, float]
 ) -> None:
     kerb = RoadEdge("kerb", read_only([[-50.0, -2.6], [200.0, -2.6]]))
-    log = log_of(PRESSED, straight("a", 1.75, -4.0), edges=(kerb,))
+    log = road_log(PRESSED, straight("a", 1.75, -4.0), edges=(kerb,))
     angle, shift = np.radians(angle_deg), np.array(shift_m)
     c, s = np.cos(angle), np.sin(angle)
     turn = np.array([[c, -s], [s, c]])
@@ -210,7 +185,7 @@ def test_a_turned_and_shifted_log_with_its_lanes_has_the_same_plan(
 
 
 def test_the_certificate_refuses_a_plan_across_the_edge() -> None:
-    done, window = window_of(log_of((driver("1"), driver("2", 8.0)), straight("a", 1.2, -6.0)))
+    done, window = replayed(road_log((driver("1"), driver("2", 8.0)), straight("a", 1.2, -6.0)))
     assert check_of(window)["verdict"] == "pass"
     assert check_of(window)["margin"] == pytest.approx(0.3, abs=0.03)
     planned = pl.col("source") == "planned"
@@ -243,7 +218,7 @@ def test_a_handed_over_plan_is_measured_from_the_recorded_path() -> None:
         'window = { horizon_s = 3.0, stride_s = 3.0, unit_s = 0.5, start = "handed_over" }'
     )
     pair = driver("1", seconds=6.0), driver("2", -1.7, 11.0, 10.6, 5.9)
-    done = replay_read(log_of(pair, straight("a", 3.0, -4.0)), config)
+    done = replay_read(road_log(pair, straight("a", 3.0, -4.0)), config)
     first, second = done.summary["windows"]
     assert second["vehicles"][0]["start"] == "handed_over"
     planned = done.result.states.filter((pl.col("source") == "planned") & (pl.col("vehicle_id") == "1"))

@@ -22,31 +22,18 @@ from istc_replay.datatypes import (
 )
 from istc_replay.errors import ScenarioError
 from istc_replay.scenario import build_scenarios
-from istc_replay.states import STATES_SCHEMA, conform
+
+from .support.tracks import log_of, track
 
 
-def track(
+def car(
     vehicle_id: str, first_s: float = 0.0, last_s: float = 10.0, hz: float = 10.0, **columns: Any
 ) -> pl.DataFrame:
     """A vehicle that drives east at 5 m/s on a line of its own."""
-    count = round((last_s - first_s) * hz) + 1
-    times = np.linspace(first_s, last_s, count)
-    values = {
-        "vehicle_id": [vehicle_id] * count,
-        "time_ns": np.round(times * 1e9).astype(np.int64),
-        "x_m": 5.0 * times,
-        "y_m": np.full(count, 10.0 * int(vehicle_id) if vehicle_id.isdecimal() else 0.0),
-        "heading_rad": np.zeros(count),
-        "speed_mps": np.full(count, 5.0),
-        "role": ["vehicle"] * count,
-    } | columns
-    return conform(pl.DataFrame(values), STATES_SCHEMA)
-
-
-def log_of(*tracks: pl.DataFrame, scene: StaticScene | None = None) -> Log:
-    """A log with these tracks."""
-    states = pl.concat(tracks) if tracks else pl.DataFrame(schema=STATES_SCHEMA)
-    return Log("test.mcap", "0" * 64, True, 0, 0, 0, 0, None, None, (), states, scene or StaticScene(), ())
+    times = np.linspace(first_s, last_s, round((last_s - first_s) * hz) + 1)
+    line = 10.0 * int(vehicle_id) if vehicle_id.isdecimal() else 0.0
+    values = {"x_m": 5.0 * times, "y_m": line, "speed_mps": 5.0} | columns
+    return track(vehicle_id, times, **values)
 
 
 def only(log: Log, **sections: Any) -> Any:
@@ -57,7 +44,7 @@ def only(log: Log, **sections: Any) -> Any:
 
 
 def test_a_short_log_is_one_window_of_whole_units() -> None:
-    scenario = only(log_of(track("1", 0.0, 10.45), track("2")))
+    scenario = only(log_of(car("1", 0.0, 10.45), car("2")))
     assert (scenario.window.units, scenario.window.end_ns) == (10, 10_000_000_000)
     assert [(p.vehicle_id, p.first_unit, p.units) for p in scenario.participants] == [
         ("1", 0, 10),
@@ -66,13 +53,13 @@ def test_a_short_log_is_one_window_of_whole_units() -> None:
 
 
 def test_a_long_log_is_cut_into_windows() -> None:
-    scenarios = list(build_scenarios(log_of(track("1", 0.0, 30.0)), Config()))
+    scenarios = list(build_scenarios(log_of(car("1", 0.0, 30.0)), Config()))
     assert [s.window.start_ns // 10**9 for s in scenarios] == [0, 8, 16, 24]
     assert [s.window.units for s in scenarios] == [8, 8, 8, 6]
 
 
 def test_start_states_are_interpolated_from_the_recording() -> None:
-    scenario = only(log_of(track("1", 0.0, 10.0), track("2", 2.37, 9.4, hz=7.0)))
+    scenario = only(log_of(car("1", 0.0, 10.0), car("2", 2.37, 9.4, hz=7.0)))
     late = scenario.participants[1]
     frame = scenario.window.frame
     assert (late.first_unit, late.units) == (3, 6)
@@ -82,17 +69,17 @@ def test_start_states_are_interpolated_from_the_recording() -> None:
 
 
 def test_the_frame_has_its_origin_amid_the_vehicles_in_whole_metres() -> None:
-    far = track("1", x_m=5.0 * np.linspace(0.0, 10.0, 101) + 500_000.25)
+    far = car("1", x_m=5.0 * np.linspace(0.0, 10.0, 101) + 500_000.25)
     frame = only(log_of(far)).window.frame
     assert frame.x_m == 500_025.0
     assert frame.yaw_rad == 0.0
 
 
 def test_dimensions_come_from_the_log_then_the_config_then_the_defaults() -> None:
-    told = track("1", length_m=[5.0] * 101, width_m=[1.8] * 101)
+    told = car("1", length_m=[5.0] * 101, width_m=[1.8] * 101)
     in_scene = StaticScene(vehicles=(VehicleInfo("2", 0.3, Dimensions(4.5, 1.9, 2.8, 1.3)),))
     config = {"by_id": {"3": {"length_m": 6.0, "width_m": 2.5}, "1": {"length_m": 9.0, "priority": 0.7}}}
-    scenario = only(log_of(told, track("2"), track("3"), track("4"), scene=in_scene), vehicles=config)
+    scenario = only(log_of(told, car("2"), car("3"), car("4"), scene=in_scene), vehicles=config)
     by_id = {p.vehicle_id: p for p in scenario.participants}
     assert by_id["1"].dimensions == Dimensions(5.0, 1.8, pytest.approx(3.375), pytest.approx(1.6875))
     assert by_id["2"].dimensions == Dimensions(4.5, 1.9, 2.8, 1.3)
@@ -111,17 +98,17 @@ def test_dimensions_come_from_the_log_then_the_config_then_the_defaults() -> Non
     ],
 )
 def test_what_is_not_usable_is_named_and_left_out(changes: dict[str, Any], reason: str) -> None:
-    scenario = only(log_of(track("1"), track("2", **changes)))
+    scenario = only(log_of(car("1"), car("2", **changes)))
     assert [p.vehicle_id for p in scenario.participants] == ["1"]
     assert [(e.vehicle_id, e.reason) for e in scenario.excluded] == [("2", reason)]
     assert scenario.vehicles_present == 2
 
 
 def test_one_sample_a_short_stay_and_a_hole_are_named() -> None:
-    single = track("2").head(1)
-    brief = track("3", 1.2, 1.9)
-    holed = track("4").filter(~pl.col("time_ns").is_between(3 * 10**9, 5 * 10**9))
-    scenario = only(log_of(track("1"), single, brief, holed))
+    single = car("2").head(1)
+    brief = car("3", 1.2, 1.9)
+    holed = car("4").filter(~pl.col("time_ns").is_between(3 * 10**9, 5 * 10**9))
+    scenario = only(log_of(car("1"), single, brief, holed))
     assert {e.vehicle_id: e.reason for e in scenario.excluded} == {
         "2": "one_sample",
         "3": "short_presence",
@@ -130,7 +117,7 @@ def test_one_sample_a_short_stay_and_a_hole_are_named() -> None:
 
 
 def test_pedestrians_are_obstacles_that_move_as_recorded() -> None:
-    walker = track(
+    walker = car(
         "w",
         2.0,
         8.0,
@@ -139,7 +126,7 @@ def test_pedestrians_are_obstacles_that_move_as_recorded() -> None:
         length_m=[0.6] * 61,
         width_m=[0.6] * 61,
     )
-    scenario = only(log_of(track("1"), walker))
+    scenario = only(log_of(car("1"), walker))
     obstacle = scenario.obstacles[0]
     x, y = scenario.window.frame.x_m, scenario.window.frame.y_m
     assert np.isnan(obstacle.boxes_m[[0, 1, 8, 9]]).all()
@@ -150,8 +137,8 @@ def test_pedestrians_are_obstacles_that_move_as_recorded() -> None:
 @pytest.mark.parametrize("hz", [0.8, 1.0, 100.0])
 def test_a_moving_obstacle_is_swept_at_any_rate(hz: float) -> None:
     count = round(10 * hz) + 1
-    walker = track("w", hz=hz, x_m=np.linspace(0.0, 10.0, count), role=["bicycle"] * count)
-    boxes = only(log_of(track("1"), walker), window={"unit_s": 0.25}).obstacles[0].boxes_m
+    walker = car("w", hz=hz, x_m=np.linspace(0.0, 10.0, count), role=["bicycle"] * count)
+    boxes = only(log_of(car("1"), walker), window={"unit_s": 0.25}).obstacles[0].boxes_m
     assert np.isfinite(boxes).all()
     np.testing.assert_allclose(boxes[:, 1] - boxes[:, 0], 1.25, atol=1e-6)
 
@@ -162,7 +149,7 @@ def test_standing_obstacles_and_bounds_are_moved_into_the_frame() -> None:
         bounds=MapBounds(-10.0, 90.0, -20.0, 40.0),
         lane_lines=(LaneLine("l", read_only([[0.0, 10.0], [60.0, 10.0]]), "1"),),
     )
-    scenario = only(log_of(track("1"), scene=scene))
+    scenario = only(log_of(car("1"), scene=scene))
     frame = scenario.window.frame
     shift = (frame.x_m, frame.x_m, frame.y_m, frame.y_m)
     np.testing.assert_allclose(scenario.obstacles[0].boxes_m[0] + shift, [29.0, 31.0, 10.0, 14.0], atol=1e-9)
@@ -173,13 +160,13 @@ def test_standing_obstacles_and_bounds_are_moved_into_the_frame() -> None:
 
 
 def test_vehicles_sampled_in_turn_all_start_with_the_window() -> None:
-    scenario = only(log_of(track("1", 0.0, 10.0), track("2", 0.03, 10.03), track("3", 0.07, 10.07)))
+    scenario = only(log_of(car("1", 0.0, 10.0), car("2", 0.03, 10.03), car("3", 0.07, 10.07)))
     assert [p.first_unit for p in scenario.participants] == [0, 0, 0]
     assert scenario.window.start_ns == 70_000_000
 
 
 def test_vehicle_ids_sort_as_people_count() -> None:
-    scenario = only(log_of(track("10"), track("2"), track("a")))
+    scenario = only(log_of(car("10"), car("2"), car("a")))
     assert [p.vehicle_id for p in scenario.participants] == ["2", "10", "a"]
 
 
@@ -187,4 +174,4 @@ def test_a_log_without_vehicles_and_one_too_short_are_errors() -> None:
     with pytest.raises(ScenarioError, match="no vehicle states"):
         list(build_scenarios(log_of(), Config()))
     with pytest.raises(ScenarioError, match="less than one time unit"):
-        list(build_scenarios(log_of(track("1", 0.0, 0.5)), Config()))
+        list(build_scenarios(log_of(car("1", 0.0, 0.5)), Config()))

@@ -3,83 +3,43 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
-import polars as pl
 import pytest
 
 from istc_replay.config import Config, parse_config
-from istc_replay.coordinate import Planners, plan_part
 from istc_replay.corridors.formulation import build_problem, default_limits
 from istc_replay.datatypes import (
-    Log,
     Participant,
     StartState,
-    StaticScene,
-    WindowPlan,
     WindowStatus,
     read_only,
 )
 from istc_replay.field import Field, back_to_recording
 from istc_replay.scenario import build_scenario
-from istc_replay.states import STATES_SCHEMA, conform
-from istc_replay.windows import log_parts, settled_config
+from istc_replay.windows import settled_config
 
-FAST = Config.model_validate({"corridors": {"mode": "fast"}})
-
-
-def track(vehicle_id: str, x_m: np.ndarray, lane_m: float = 0.0, **columns: Any) -> pl.DataFrame:
-    """A car that is recorded ten times a second along a straight road."""
-    count = len(x_m)
-    values = {
-        "vehicle_id": [vehicle_id] * count,
-        "time_ns": (np.arange(count) * 100_000_000).astype(np.int64),
-        "x_m": x_m,
-        "y_m": np.full(count, lane_m),
-        "heading_rad": np.zeros(count),
-        "speed_mps": np.gradient(x_m, 0.1),
-        "length_m": np.full(count, 4.5),
-        "width_m": np.full(count, 1.8),
-        "role": ["vehicle"] * count,
-    } | columns
-    return conform(pl.DataFrame(values), STATES_SCHEMA)
-
-
-def even(speed_mps: float, ahead_m: float = 0.0, seconds: float = 4.0) -> np.ndarray:
-    """Places of a car at a constant speed."""
-    return ahead_m + speed_mps * np.arange(round(seconds * 10) + 1) / 10.0
-
-
-def log_of(*tracks: pl.DataFrame) -> Log:
-    """A log of field data."""
-    return Log("t.mcap", "0" * 64, True, 0, 0, 0, 0, 0, 0, (), pl.concat(tracks), StaticScene(), ())
-
-
-def planned(log: Log, config: Config = FAST) -> WindowPlan:
-    """The plan of the log's first window."""
-    settled = settled_config(log, config)
-    return plan_part(next(log_parts(log, settled)), settled, Planners(settled))
+from .support.planning import FAST, first_part, planned
+from .support.tracks import driver, log_of
 
 
 def participant() -> Participant:
     """A car of a window of four seconds at 10 m/s."""
-    log = log_of(track("1", even(10.0)))
+    log = log_of(driver("1", speed_mps=10.0))
     config = settled_config(log, Config())
-    return build_scenario(next(log_parts(log, config)), config, 0.5).participants[0]
+    return build_scenario(first_part(log, config), config, 0.5).participants[0]
 
 
 def test_who_queues_in_a_window_is_planned_and_who_never_moves_is_parked() -> None:
     # It stands in the first window and drives on in the second.
-    queued = np.concatenate([np.full(81, 30.0), even(8.0, 30.8, 7.9)])
+    queued = 30.0 + 8.0 * np.maximum(np.arange(161) / 10.0 - 8.0, 0.0)
     config = Config.model_validate({"window": {"horizon_s": 8.0, "stride_s": 8.0}})
     log = log_of(
-        track("1", even(12.0, seconds=16.0), 8.0),
-        track("queued", queued),
-        track("parked", np.full(161, 60.0), -6.0),
+        driver("1", 8.0, seconds=16.0),
+        driver("queued", seconds=16.0, x_m=queued, speed_mps=np.gradient(queued, 0.1)),
+        driver("parked", -6.0, 60.0, 0.0, seconds=16.0),
     )
-    first = next(log_parts(log, config))
-    scenario = build_scenario(first, config, 0.5)
+    scenario = build_scenario(first_part(log, config), config, 0.5)
     assert [p.vehicle_id for p in scenario.participants] == ["1", "queued"]
     assert {e.vehicle_id: e.reason for e in scenario.excluded} == {"parked": "parked"}
 
@@ -110,7 +70,7 @@ def test_who_was_led_off_its_recording_comes_back_to_it_by_a_fifth_of_its_speed(
 
 
 def test_gaps_are_lowered_to_a_third_and_then_to_none_for_those_that_need_it() -> None:
-    plan = planned(log_of(track("1", even(12.0)), track("2", even(12.0), 4.0)))
+    plan = planned(log_of(driver("1"), driver("2", 4.0)))
     field = Field(plan.scenario, plan.guidance, 0.3, 0.2)
     steps = []
     while field.lower_gaps([("1", "2")]):
@@ -123,7 +83,7 @@ def test_gaps_are_lowered_to_a_third_and_then_to_none_for_those_that_need_it() -
 def test_a_pivotal_step_goes_sideways_by_the_tangent_of_the_heading_slack_and_a_little_at_least(
     slack_rad: float, cone: float
 ) -> None:
-    plan = planned(log_of(track("1", even(30.0))))
+    plan = planned(log_of(driver("1", speed_mps=30.0)))
     (guide,) = plan.guidance
     narrow = replace(guide, slack_rad=read_only(np.full(len(guide.points_m), slack_rad)))
     limits = {"1": default_limits(FAST.corridors)}
@@ -150,7 +110,7 @@ def test_a_pivotal_step_goes_sideways_by_the_tangent_of_the_heading_slack_and_a_
 
 def test_of_two_partial_plans_that_of_more_vehicles_is_kept_and_the_window_is_partial() -> None:
     # Bumper to bumper at 12 m/s there is no way at any time unit: the two stay as recorded.
-    log = log_of(track("1", even(12.0)), track("9", even(12.0, 4.55)), track("2", even(12.0), 6.0))
+    log = log_of(driver("1"), driver("9", 0.0, 4.55), driver("2", 6.0))
     plan = planned(log)
     assert plan.status is WindowStatus.NOT_CERTIFIED  # until the certificate has said so
     assert [t.vehicle_id for t in plan.trajectories] == ["2"]
@@ -171,8 +131,8 @@ def test_who_cannot_be_driven_after_tightening_stays_as_recorded_by_name(
         f"trajectories = {{ feedback_rounds = 1, deceleration_max_mps2 = {limit}, "
         f"acceleration_max_mps2 = {limit}, steering_rate_max_radps = 0.02 }}"
     )
-    slow = track("2", even(9.0, ahead_m), lane_m)
-    plan = planned(log_of(track("1", even(12.0)), slow, track("3", even(12.0), 8.0)), stiff)
+    slow = driver("2", lane_m, ahead_m, 9.0)
+    plan = planned(log_of(driver("1"), slow, driver("3", 8.0)), stiff)
     assert {e.vehicle_id: e.reason for e in plan.frozen} == {"1": reason, "2": reason}
     assert [t.vehicle_id for t in plan.trajectories] == ["3"]
     assert plan.rounds > 2  # it was tried with tighter limits first

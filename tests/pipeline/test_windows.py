@@ -9,7 +9,6 @@ import time
 from pathlib import Path
 
 import numpy as np
-import polars as pl
 import pytest
 
 from istc_replay.config import parse_config
@@ -23,8 +22,9 @@ from istc_replay.pipeline.work_folder import WorkFolder, clear_work, packed, unp
 from istc_replay.plain import from_plain, to_plain
 from istc_replay.safety.certificate import certify
 from istc_replay.samples.drive import RecordedScene
-from istc_replay.states import STATES_SCHEMA, conform
 from istc_replay.windows import log_parts, window_spans
+
+from ..support.tracks import log_of, track
 
 TOML = """
 corridors.mode = "fast"
@@ -43,20 +43,10 @@ def long_log() -> Log:
         ("4", 7.0, -3.0, 13.0, 4.3, 12.0),
     ):
         times = np.arange(round(first * 10), round(last * 10) + 1) / 10.0
-        count = len(times)
-        values = {
-            "vehicle_id": [name] * count,
-            "time_ns": np.round(times * 1e9).astype(np.int64),
-            "x_m": ahead + speed * times,
-            "y_m": lane + 0.1 * np.sin(times),
-            "heading_rad": 0.1 * np.cos(times) / speed,
-            "speed_mps": np.full(count, speed),
-            "length_m": np.full(count, 4.5),
-            "width_m": np.full(count, 1.8),
-            "role": ["vehicle"] * count,
-        }
-        tracks.append(conform(pl.DataFrame(values), STATES_SCHEMA))
-    return Log("long.mcap", "0" * 64, True, 0, 0, 0, 0, 0, 0, (), pl.concat(tracks), StaticScene(), ())
+        places = {"x_m": ahead + speed * times, "y_m": lane + 0.1 * np.sin(times)}
+        motion = {"heading_rad": 0.1 * np.cos(times) / speed, "speed_mps": speed}
+        tracks.append(track(name, times, **places, **motion, length_m=4.5, width_m=1.8))
+    return log_of(*tracks)
 
 
 @pytest.fixture(scope="module")
