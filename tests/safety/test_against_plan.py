@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,6 +15,9 @@ from istc_replay.safety.against_plan import against_plan
 from istc_replay.safety.result_audit import audit_result
 from istc_replay.states import AGAINST_PLAN_SCHEMA
 
+from ..support.bicycles import random_car, stacked, straight_car
+from ..support.written import Scene
+
 NS = 1_000_000_000
 RECORDED = pl.col("source") == "recorded"
 
@@ -27,10 +29,10 @@ def recorded_as(result: Result, **changes: Any) -> Result:
 
 
 @pytest.fixture(scope="module")
-def scene(kit: SimpleNamespace) -> Any:
+def scene() -> Any:
     rng = np.random.default_rng(11)
-    cars = kit.stacked([kit.random_car(rng, name, 30) for name in ("a", "b")])
-    return kit.Scene(cars, frame=Frame(449_000.0, 5_411_000.0, 0.7))
+    cars = stacked([random_car(rng, name, 30) for name in ("a", "b")])
+    return Scene(cars, frame=Frame(449_000.0, 5_411_000.0, 0.7))
 
 
 def test_who_drives_as_planned_deviates_by_nothing(scene: Any) -> None:
@@ -55,8 +57,8 @@ def test_a_constant_offset_is_the_deviation_and_no_delay(scene: Any) -> None:
     np.testing.assert_allclose(table["delay_most_s"], 0.0, atol=1e-5)
 
 
-def test_who_drives_faster_than_planned_shows_as_the_plans_delay(kit: SimpleNamespace) -> None:
-    scene = kit.Scene([kit.straight_car("a", 0, 0, 0.0, 4.0, 25)])
+def test_who_drives_faster_than_planned_shows_as_the_plans_delay() -> None:
+    scene = Scene([straight_car("a", 0, 0, 0.0, 4.0, 25)])
     t = (pl.col("time_ns") - scene.start_ns) / NS
     faster = recorded_as(scene.result(), x_m=5.0 * t, speed_mps=pl.lit(5.0))
     row = against_plan(faster, Config()).row(0, named=True)
@@ -66,8 +68,8 @@ def test_who_drives_faster_than_planned_shows_as_the_plans_delay(kit: SimpleName
     assert row["deviation_end_m"] == pytest.approx(5.0, abs=1e-6)
 
 
-def test_comfort_is_the_most_of_what_was_driven_and_of_what_was_planned(kit: SimpleNamespace) -> None:
-    scene = kit.Scene([kit.straight_car("a", 0, 0, 0.0, 8.0, 25)])
+def test_comfort_is_the_most_of_what_was_driven_and_of_what_was_planned() -> None:
+    scene = Scene([straight_car("a", 0, 0, 0.0, 8.0, 25)])
     t = (pl.col("time_ns") - scene.start_ns) / NS
     # It brakes with 3 m/s^2 from 2 s on, while the plan keeps its speed.
     braking = recorded_as(
@@ -80,10 +82,8 @@ def test_comfort_is_the_most_of_what_was_driven_and_of_what_was_planned(kit: Sim
     assert row["recorded_lateral_mps2"] == pytest.approx(0.0, abs=1e-6)
 
 
-def test_the_first_exit_from_the_corridor_is_told_with_its_depth_and_is_a_finding(
-    kit: SimpleNamespace,
-) -> None:
-    scene = kit.Scene([kit.straight_car("a", 0, 0, 0.0, 5.0, 25)], pad=0.4)
+def test_the_first_exit_from_the_corridor_is_told_with_its_depth_and_is_a_finding() -> None:
+    scene = Scene([straight_car("a", 0, 0, 0.0, 5.0, 25)], pad=0.4)
     t = (pl.col("time_ns") - scene.start_ns) / NS
     # Drifts to the left with 0.5 m/s from 2 s on; it is out by 0.1 m at 3.0 s, and by 1.1 m at the end.
     drifting = recorded_as(scene.result(), y_m=0.5 * (t - 2.0).clip(lower_bound=0.0))
@@ -104,9 +104,9 @@ def test_the_first_exit_from_the_corridor_is_told_with_its_depth_and_is_a_findin
     assert (judged["verdict"], judged["judged_s"]) == ("fail", pytest.approx(5.0, abs=0.2))
 
 
-def test_at_a_boundary_of_units_either_cube_will_do(kit: SimpleNamespace) -> None:
-    car = kit.straight_car("a", 0, 0, 0.0, 5.0, 10)
-    assert against_plan(kit.Scene([car], pad=1e-6).result(), Config())["first_exit_ns"].null_count() == 1
+def test_at_a_boundary_of_units_either_cube_will_do() -> None:
+    car = straight_car("a", 0, 0, 0.0, 5.0, 10)
+    assert against_plan(Scene([car], pad=1e-6).result(), Config())["first_exit_ns"].null_count() == 1
 
 
 def test_rejected_trajectories_are_no_plan_and_what_was_not_recorded_is_not_judged(scene: Any) -> None:

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -26,76 +25,20 @@ from istc_replay.states import (
     VEHICLE_SAMPLES_SCHEMA,
 )
 
+from ..support.encounters import AHEAD, T, bend, calm, drive, east, near_miss, north, recorded
+from ..support.tracks import log_of
+
 Array = NDArray[np.float64]
 NS = 1_000_000_000
-T = np.arange(0, 12.01, 0.1)
 ROOT = Path(__file__).resolve().parents[2]
-
-
-def drive(speed: Array | float, start: float = 0.0, t: Array = T) -> tuple[Array, Array]:
-    """Positions and speeds of a drive along a line at a speed over time."""
-    speeds = np.broadcast_to(np.asarray(speed, dtype=float), t.shape)
-    way = np.concatenate([[0.0], np.cumsum((speeds[1:] + speeds[:-1]) / 2 * np.diff(t))])
-    return start + way, speeds.copy()
-
-
-def east(logs: SimpleNamespace, name: str, speed: Array | float, start: float, **other: Any) -> pl.DataFrame:
-    x, v = drive(speed, start)
-    return logs.recorded(name, T, x_m=x, speed_mps=v, **other)
-
-
-def north(logs: SimpleNamespace, name: str, speed: Array | float, start: float, **other: Any) -> pl.DataFrame:
-    y, v = drive(speed, start)
-    return logs.recorded(
-        name, T, **({"x_m": 0.0, "y_m": y, "speed_mps": v, "heading_rad": np.pi / 2} | other)
-    )
-
-
-AHEAD = 4.5 * 0.675 / 2  # from the rear axle to the centre
-
-
-def bend(logs: SimpleNamespace, name: str, radius: float, speed: float) -> pl.DataFrame:
-    """A circle as a bicycle drives it: the box centre's course is ahead of the heading."""
-    angle, slip = speed * T / radius, np.arcsin(AHEAD / radius)
-    return logs.recorded(
-        name,
-        T,
-        x_m=300 + radius * np.sin(angle),
-        y_m=radius * (1 - np.cos(angle)),
-        heading_rad=np.mod(angle - slip + np.pi, 2 * np.pi) - np.pi,
-        speed_mps=speed * np.cos(slip),
-    )
-
-
-def calm(logs: SimpleNamespace) -> list[pl.DataFrame]:
-    """Traffic with nothing wrong: lanes, a queue, parked cars that nearly touch, a bend, a pedestrian."""
-    braking = np.clip(12.0 - 2.0 * (T - 3.0), 0.0, 12.0)
-    parts = [
-        east(logs, "leader", 15.0, 0.0),
-        east(logs, "follower", 15.0, -60.0),
-        east(logs, "oncoming", -15.0, 150.0, y_m=3.5),
-        east(logs, "stopping", braking, -100.0, y_m=-20.0),
-        logs.recorded("standing", T, x_m=0.0, y_m=-20.0, speed_mps=0.0),
-        bend(logs, "bending", 40.0, 8.0),
-        logs.recorded(
-            "walker", T, x_m=T, y_m=30.0, speed_mps=1.0, length_m=0.5, width_m=0.5, role="pedestrian"
-        ),
-    ]
-    parts += [logs.recorded(f"parked{k}", T, x_m=60 + 4.55 * k, y_m=40.0, speed_mps=0.0) for k in range(4)]
-    # A queue that creeps, with jitter in its speeds.
-    rng = np.random.default_rng(7)
-    for k in range(4):
-        x, v = drive(1.5 + 0.03 * rng.normal(size=T.size), -6.0 * k)
-        parts.append(logs.recorded(f"queue{k}", T, x_m=x, y_m=60.0, speed_mps=v))
-    return parts
 
 
 def findings(audit: Audit) -> list[tuple[str, str | None, list[str]]]:
     return audit.findings.select("rule", "severity", "vehicles").rows()
 
 
-def test_a_log_with_nothing_wrong_has_no_finding(logs: SimpleNamespace) -> None:
-    audit = audit_log(logs.log_of(*calm(logs)), Config())
+def test_a_log_with_nothing_wrong_has_no_finding() -> None:
+    audit = audit_log(log_of(*calm()), Config())
     assert findings(audit) == []
     assert audit.encounters.is_empty()
     assert audit.verdict == Verdict.PASS
@@ -103,17 +46,8 @@ def test_a_log_with_nothing_wrong_has_no_finding(logs: SimpleNamespace) -> None:
     assert set(audit.coverage["verdict"]) == {"pass", "not_applicable"}
 
 
-def near_miss(logs: SimpleNamespace) -> list[pl.DataFrame]:
-    """Two that cross: one passes 0.6 s before the other, both unbraked at 10 m/s."""
-    # Each blocks the crossing for (4.5 + 1.9) / 10 s around its middle.
-    return [
-        logs.recorded("ann", T, x_m=10 * T - 660, y_m=100.0, speed_mps=10.0),
-        north(logs, "bob", 10.0, 100 - 60 - 12.4, x_m=-600.0),
-    ]
-
-
-def test_a_planted_near_miss_is_found_and_nothing_else(logs: SimpleNamespace) -> None:
-    log = logs.log_of(*calm(logs), *near_miss(logs))
+def test_a_planted_near_miss_is_found_and_nothing_else() -> None:
+    log = log_of(*calm(), *near_miss())
     audit = audit_log(log, Config())
     assert audit.verdict == Verdict.FAIL
     assert audit.encounters.height == 1
@@ -134,13 +68,13 @@ def test_a_planted_near_miss_is_found_and_nothing_else(logs: SimpleNamespace) ->
     )
 
 
-def test_a_crash_is_found_with_its_measures(logs: SimpleNamespace) -> None:
+def test_a_crash_is_found_with_its_measures() -> None:
     stopping = np.where(T < 6.3, 10.0, 0.0)
     x, v = drive(stopping, -64.0)
-    log = logs.log_of(
-        logs.recorded("a", T, x_m=x, speed_mps=v),
-        logs.recorded("b", T, x_m=0.0, speed_mps=0.0),
-        *calm(logs)[7:9],
+    log = log_of(
+        recorded("a", T, x_m=x, speed_mps=v),
+        recorded("b", T, x_m=0.0, speed_mps=0.0),
+        *calm()[7:9],
     )
     audit = audit_log(log, Config())
     by_rule = {
@@ -160,17 +94,17 @@ def test_a_crash_is_found_with_its_measures(logs: SimpleNamespace) -> None:
     assert row["tit_s2"] == pytest.approx(4.5, abs=0.35)
 
 
-def test_tailgating_and_danger_by_rss_are_found(logs: SimpleNamespace) -> None:
-    log = logs.log_of(east(logs, "a", 20.0, 0.0), east(logs, "b", 20.0, -4.5 - 14.0))
+def test_tailgating_and_danger_by_rss_are_found() -> None:
+    log = log_of(east("a", 20.0, 0.0), east("b", 20.0, -4.5 - 14.0))
     found = findings(audit_log(log, Config()))
     assert found == [("rss", "minor", ["a", "b"]), ("thw", "serious", ["a", "b"])]
 
 
-def test_only_grazing_is_no_time_to_collision(logs: SimpleNamespace) -> None:
+def test_only_grazing_is_no_time_to_collision() -> None:
     def passing(offset: float) -> list[tuple[str, str | None, list[str]]]:
-        log = logs.log_of(
-            logs.recorded("mover", T, x_m=10 * T - 60, y_m=offset, speed_mps=10.0),
-            logs.recorded("parked", T, x_m=0.0, speed_mps=0.0),
+        log = log_of(
+            recorded("mover", T, x_m=10 * T - 60, y_m=offset, speed_mps=10.0),
+            recorded("parked", T, x_m=0.0, speed_mps=0.0),
         )
         return [row for row in findings(audit_log(log, Config())) if row[0] not in ("rss", "thw")]
 
@@ -188,35 +122,33 @@ def test_only_grazing_is_no_time_to_collision(logs: SimpleNamespace) -> None:
         ("jerk", {"speed_mps": 10 + 0.5 * np.sin(4 * T)}, "minor"),
     ],
 )
-def test_single_vehicles_are_judged(
-    rule: str, columns: dict[str, Any], severity: str, logs: SimpleNamespace
-) -> None:
+def test_single_vehicles_are_judged(rule: str, columns: dict[str, Any], severity: str) -> None:
     x, v = drive(columns["speed_mps"])
-    audit = audit_log(logs.log_of(logs.recorded("a", T, x_m=x, speed_mps=v)), Config())
+    audit = audit_log(log_of(recorded("a", T, x_m=x, speed_mps=v)), Config())
     assert (rule, severity, ["a"]) in findings(audit)
 
 
-def test_turning_is_judged_by_lateral_acceleration_yaw_rate_and_the_bicycle(logs: SimpleNamespace) -> None:
-    assert findings(audit_log(logs.log_of(bend(logs, "a", 40.0, 13.0)), Config())) == []
-    fast = audit_log(logs.log_of(bend(logs, "a", 40.0, 15.0)), Config())
+def test_turning_is_judged_by_lateral_acceleration_yaw_rate_and_the_bicycle() -> None:
+    assert findings(audit_log(log_of(bend("a", 40.0, 13.0)), Config())) == []
+    fast = audit_log(log_of(bend("a", 40.0, 15.0)), Config())
     assert findings(fast) == [("lateral_acceleration", "minor", ["a"])]
     assert fast.findings["value"][0] == pytest.approx(15.0**2 / 40.0, rel=5e-3)
-    tight = audit_log(logs.log_of(bend(logs, "a", 2.5, 3.0)), Config())
+    tight = audit_log(log_of(bend("a", 2.5, 3.0)), Config())
     assert {rule for rule, _, _ in findings(tight)} == {"curvature", "yaw_rate"}
     steering = tight.vehicle_samples["steering_rad"].drop_nulls()
     assert steering.mean() == pytest.approx(np.arctan(2 * AHEAD / np.sqrt(2.5**2 - AHEAD**2)), rel=1e-2)
 
 
-def test_speeds_are_judged_where_a_limit_is_given(logs: SimpleNamespace) -> None:
-    log = logs.log_of(east(logs, "a", 15.0, 0.0))
+def test_speeds_are_judged_where_a_limit_is_given() -> None:
+    log = log_of(east("a", 15.0, 0.0))
     assert findings(audit_log(log, Config())) == []
     limited = audit_log(log, parse_config("[audit]\nspeed_limit_mps = 13.9"))
     assert findings(limited) == [("speed_limit", "minor", ["a"])]
     assert limited.findings["value"][0] == pytest.approx(1.1)
 
 
-def test_thresholds_are_those_of_the_configuration_and_say_so(logs: SimpleNamespace) -> None:
-    log = logs.log_of(*near_miss(logs))
+def test_thresholds_are_those_of_the_configuration_and_say_so() -> None:
+    log = log_of(*near_miss())
     config = parse_config("[audit]\npet_critical_s = 0.2\npet_serious_s = 0.3")
     found = audit_log(log, config).findings
     assert found["severity"].to_list() == ["minor"]
@@ -250,12 +182,12 @@ def transformed(log: Log, how: str) -> Log:
 
 
 @pytest.mark.parametrize("how", ["moved", "turned", "later", "renamed"])
-def test_findings_do_not_depend_on_how_the_world_is_told(how: str, logs: SimpleNamespace) -> None:
-    log = logs.log_of(
-        *calm(logs),
-        *near_miss(logs),
-        east(logs, "x", 20.0, 0.0, y_m=200.0),
-        east(logs, "y", 21.7, -24.0, y_m=200.5),
+def test_findings_do_not_depend_on_how_the_world_is_told(how: str) -> None:
+    log = log_of(
+        *calm(),
+        *near_miss(),
+        east("x", 20.0, 0.0, y_m=200.0),
+        east("y", 21.7, -24.0, y_m=200.5),
     )
     before, after = audit_log(log, Config()), audit_log(transformed(log, how), Config())
 
@@ -272,29 +204,29 @@ def test_findings_do_not_depend_on_how_the_world_is_told(how: str, logs: SimpleN
         assert one[-1] == pytest.approx(two[-1], rel=1e-5, abs=1e-6)
 
 
-def test_the_same_log_gives_the_same_tables(logs: SimpleNamespace) -> None:
-    log = logs.log_of(*calm(logs), *near_miss(logs))
+def test_the_same_log_gives_the_same_tables() -> None:
+    log = log_of(*calm(), *near_miss())
     one, two = audit_log(log, Config()), audit_log(log, Config())
     for name in ("findings", "encounters", "pair_samples", "vehicle_samples", "coverage"):
         assert getattr(one, name).equals(getattr(two, name))
 
 
-def test_vehicles_on_clocks_of_their_own_are_taken_to_common_times(logs: SimpleNamespace) -> None:
-    a, b = near_miss(logs)
+def test_vehicles_on_clocks_of_their_own_are_taken_to_common_times() -> None:
+    a, b = near_miss()
     at = np.arange(0.037, 11.9, 0.07)
-    shifted = logs.recorded("bob", at, x_m=-600.0, y_m=10 * at + 27.6, speed_mps=10.0, heading_rad=np.pi / 2)
-    one, two = audit_log(logs.log_of(a, b), Config()), audit_log(logs.log_of(a, shifted), Config())
+    shifted = recorded("bob", at, x_m=-600.0, y_m=10 * at + 27.6, speed_mps=10.0, heading_rad=np.pi / 2)
+    one, two = audit_log(log_of(a, b), Config()), audit_log(log_of(a, shifted), Config())
     assert findings(two) == findings(one)
     assert two.encounters["least_gap_m"][0] == pytest.approx(one.encounters["least_gap_m"][0], abs=0.4)
 
 
-def test_tables_have_their_schemas_even_of_an_empty_log(logs: SimpleNamespace) -> None:
+def test_tables_have_their_schemas_even_of_an_empty_log() -> None:
     schemas = {
         "findings": FINDINGS_SCHEMA, "encounters": ENCOUNTERS_SCHEMA, "pair_samples": PAIR_SAMPLES_SCHEMA,
         "vehicle_samples": VEHICLE_SAMPLES_SCHEMA, "coverage": COVERAGE_SCHEMA,
     }  # fmt: skip
-    full = logs.log_of(*near_miss(logs))
-    lone = logs.log_of(east(logs, "a", 5.0, 0.0).head(1))
+    full = log_of(*near_miss())
+    lone = log_of(east("a", 5.0, 0.0).head(1))
     for log in (full, lone, replace(full, states=full.states.clear())):
         audit = audit_log(log, Config())
         for name, schema in schemas.items():
@@ -302,19 +234,19 @@ def test_tables_have_their_schemas_even_of_an_empty_log(logs: SimpleNamespace) -
     assert audit.verdict == Verdict.INCONCLUSIVE  # nothing was judged
 
 
-def test_what_is_not_known_is_not_judged_and_never_passes(logs: SimpleNamespace) -> None:
-    a, b = near_miss(logs)
+def test_what_is_not_known_is_not_judged_and_never_passes() -> None:
+    a, b = near_miss()
     blind = b.with_columns(heading_rad=pl.lit(None, dtype=pl.Float64))
-    audit = audit_log(logs.log_of(a, blind), Config())
+    audit = audit_log(log_of(a, blind), Config())
     assert findings(audit) == []
     of_bob = audit.coverage.filter(pl.col("vehicle_id") == "bob", pl.col("rule") == "ttc")
     assert of_bob["verdict"].to_list() == ["inconclusive"]
     assert of_bob["judged_s"].to_list() == [0.0]
 
 
-def test_sizes_that_the_log_does_not_tell_are_said_to_be_assumed(logs: SimpleNamespace) -> None:
-    a, b = (part.with_columns(length_m=pl.lit(None, dtype=pl.Float64)) for part in near_miss(logs))
-    audit = audit_log(logs.log_of(a, b), Config())
+def test_sizes_that_the_log_does_not_tell_are_said_to_be_assumed() -> None:
+    a, b = (part.with_columns(length_m=pl.lit(None, dtype=pl.Float64)) for part in near_miss())
+    audit = audit_log(log_of(a, b), Config())
     assert set(audit.coverage["dimensions_source"]) == {"default"}
     assert "size assumed: ann, bob" in audit.findings["detail"][0]
 
@@ -341,7 +273,7 @@ def test_recorded_traffic_is_audited_whole() -> None:
     assert {name for name, count in overlaps.items() if count} == {"USA_Lanker-1_1_T-1"}
 
 
-def turning(logs: SimpleNamespace, name: str, start: float, *, turns: bool) -> pl.DataFrame:
+def turning(name: str, start: float, *, turns: bool) -> pl.DataFrame:
     """East at 8 m/s; at x = 0 straight on, or into a bend of 10 m to the north."""
     s = 8.0 * T + start
     angle = np.clip(s / 10.0, 0.0, np.pi / 2) * turns
@@ -349,39 +281,33 @@ def turning(logs: SimpleNamespace, name: str, start: float, *, turns: bool) -> p
     x = np.where(s < 0, s, 10.0 * np.sin(angle) if turns else s)
     y = np.where(s < 0, 0.0, 10.0 * (1 - np.cos(angle)) + rest)
     assert bent.max() <= 10.0 * np.pi / 2
-    return logs.recorded(name, T, x_m=x, y_m=y, heading_rad=angle, speed_mps=8.0, rear_axle_to_centre_m=0.0)
+    return recorded(name, T, x_m=x, y_m=y, heading_rad=angle, speed_mps=8.0, rear_axle_to_centre_m=0.0)
 
 
-def test_who_follows_and_then_turns_off_has_a_headway_and_no_encroachment(logs: SimpleNamespace) -> None:
-    log = logs.log_of(turning(logs, "a", -40.0, turns=False), turning(logs, "b", -40.0 - 20.0, turns=True))
+def test_who_follows_and_then_turns_off_has_a_headway_and_no_encroachment() -> None:
+    log = log_of(turning("a", -40.0, turns=False), turning("b", -40.0 - 20.0, turns=True))
     rules = {rule for rule, _, who in findings(audit_log(log, Config())) if len(who) == 2}
     assert "pet" not in rules
     # Apart from where it turns, it keeps 15.5 m at 8 m/s.
     assert "thw" not in rules
 
 
-def test_a_queue_that_closes_up_gently_is_no_finding_and_one_that_does_so_hard_is(
-    logs: SimpleNamespace,
-) -> None:
+def test_a_queue_that_closes_up_gently_is_no_finding_and_one_that_does_so_hard_is() -> None:
     def closing(speed: Array) -> set[str]:
         x, v = drive(speed)
         x = x - x[-1] - 4.5 - 0.9  # stops 0.9 m behind
-        log = logs.log_of(
-            logs.recorded("b", T, x_m=x, speed_mps=v), logs.recorded("c", T, x_m=0.0, speed_mps=0.0)
-        )
+        log = log_of(recorded("b", T, x_m=x, speed_mps=v), recorded("c", T, x_m=0.0, speed_mps=0.0))
         return {rule for rule, _, who in findings(audit_log(log, Config())) if len(who) == 2}
 
     assert closing(np.clip(4.0 - 1.5 * (T - 5), 0, 4)) == set()
     assert "drac" in closing(np.clip(4.0 - 8.0 * (T - 5), 0, 4))
 
 
-def test_contact_is_one_encroachment_of_zero_and_the_encounter_tells_how_near_they_came(
-    logs: SimpleNamespace,
-) -> None:
-    log = logs.log_of(
-        logs.recorded("a", T, x_m=10 * T - 60, speed_mps=10.0),
-        north(logs, "b", 10.0, -61.0),
-        *calm(logs)[7:9],
+def test_contact_is_one_encroachment_of_zero_and_the_encounter_tells_how_near_they_came() -> None:
+    log = log_of(
+        recorded("a", T, x_m=10 * T - 60, speed_mps=10.0),
+        north("b", 10.0, -61.0),
+        *calm()[7:9],
     )
     audit = audit_log(log, Config())
     pet = audit.findings.filter(pl.col("rule") == "pet")
@@ -392,10 +318,8 @@ def test_contact_is_one_encroachment_of_zero_and_the_encounter_tells_how_near_th
     assert row["delta_v_first_mps"] == pytest.approx(10 * np.sqrt(2) / 2)
 
 
-def test_how_a_log_is_cut_into_chunks_changes_nothing(
-    logs: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    log = logs.log_of(*calm(logs), *near_miss(logs), east(logs, "x", 20.0, 0.0, y_m=200.0))
+def test_how_a_log_is_cut_into_chunks_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    log = log_of(*calm(), *near_miss(), east("x", 20.0, 0.0, y_m=200.0))
     whole = audit_log(log, Config())
     monkeypatch.setattr("istc_replay.safety.pair_samples._CHUNK_STATES", 150)
     cut = audit_log(log, Config())
@@ -404,7 +328,7 @@ def test_how_a_log_is_cut_into_chunks_changes_nothing(
 
 
 @pytest.mark.parametrize("kind", ["nanoseconds", "years", "wild", "huge", "one instant"])
-def test_odd_logs_are_audited_without_much_ado(kind: str, logs: SimpleNamespace) -> None:
+def test_odd_logs_are_audited_without_much_ado(kind: str) -> None:
     rng = np.random.default_rng(4)
     times = {
         "nanoseconds": np.concatenate([np.arange(200) * 1e-9, [3.0]]),
@@ -417,26 +341,24 @@ def test_odd_logs_are_audited_without_much_ado(kind: str, logs: SimpleNamespace)
         if kind == "wild":
             x = rng.choice([0.0, 1e300, -1e300, np.nan, np.inf], times.size)
         speed = rng.normal(0, 1e308 if kind == "huge" else 5, times.size)
-        parts.append(logs.recorded(name, times, x_m=x, speed_mps=speed))
-    audit = audit_log(logs.log_of(*parts), Config())
+        parts.append(recorded(name, times, x_m=x, speed_mps=speed))
+    audit = audit_log(log_of(*parts), Config())
     assert set(audit.findings["verdict"]) <= {"fail", "inconclusive"}
     assert audit.findings["finding_id"].n_unique() == audit.findings.height
 
 
-def test_a_crowd_too_dense_for_the_memory_is_refused_by_name(
-    logs: SimpleNamespace, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_crowd_too_dense_for_the_memory_is_refused_by_name(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("istc_replay.safety.broad_phase._MOST_PAIRS", 100)
     with pytest.raises(LogError, match="pairs of bodies are near each other"):
-        audit_log(logs.log_of(*calm(logs)), Config())
+        audit_log(log_of(*calm()), Config())
 
 
-def test_the_sign_of_an_encroachment_says_who_was_first(logs: SimpleNamespace) -> None:
+def test_the_sign_of_an_encroachment_says_who_was_first() -> None:
     names = {"ann": "zoe", "bob": "abe"}
     told = []
-    renamed = [part.with_columns(pl.col("vehicle_id").replace(names)) for part in near_miss(logs)]
-    for parts in (near_miss(logs), renamed):
-        audit = audit_log(logs.log_of(*parts), Config())
+    renamed = [part.with_columns(pl.col("vehicle_id").replace(names)) for part in near_miss()]
+    for parts in (near_miss(), renamed):
+        audit = audit_log(log_of(*parts), Config())
         row = audit.encounters.row(0, named=True)
         assert row["least_pet_s"] == row["event_pet_s"] == audit.findings["value"][0]
         # Positive: the first named was there first, and it is named in the detail.
@@ -447,13 +369,11 @@ def test_the_sign_of_an_encroachment_says_who_was_first(logs: SimpleNamespace) -
     assert names[told[0][0]] == told[1][0]
 
 
-def test_late_starts_and_early_ends_are_in_the_coverage_and_in_the_findings_that_touch_them(
-    logs: SimpleNamespace,
-) -> None:
-    a, b = east(logs, "a", 20.0, 0.0), east(logs, "b", 20.0, -4.5 - 14.0)
+def test_late_starts_and_early_ends_are_in_the_coverage_and_in_the_findings_that_touch_them() -> None:
+    a, b = east("a", 20.0, 0.0), east("b", 20.0, -4.5 - 14.0)
     start = int(a["time_ns"].min())  # type: ignore[arg-type]
     short = b.filter(pl.col("time_ns").is_between(start + 2 * NS, start + 7 * NS))
-    audit = audit_log(logs.log_of(a, short), Config())
+    audit = audit_log(log_of(a, short), Config())
     row = audit.coverage.filter(pl.col("vehicle_id") == "b", pl.col("rule") == "thw").row(0, named=True)
     assert row["late_start_s"] == pytest.approx(2.0)
     assert row["early_end_s"] == pytest.approx(T[-1] - 7.0)

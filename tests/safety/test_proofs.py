@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,6 +17,9 @@ from istc_replay.safety.plan import written_plans
 from istc_replay.safety.sweep import Least, least_gap, moving_bodies, standing_bodies
 from istc_replay.safety.walls import least_inside, wall_margin
 
+from ..support.bicycles import DENSE, Car, random_car, straight_car
+from ..support.written import Scene
+
 
 def case_of(scene: Any, config: Config | None = None) -> Case:
     case = build_case(next(written_plans(scene.result())), {}, StaticScene(), config or Config())
@@ -25,15 +27,15 @@ def case_of(scene: Any, config: Config | None = None) -> Case:
     return case
 
 
-def nearby_cars(kit: SimpleNamespace, rng: np.random.Generator, count: int) -> list[Any]:
-    return [kit.random_car(rng, f"v{i}", 15).moved(*rng.uniform(-8, 8, 2)) for i in range(count)]
+def nearby_cars(rng: np.random.Generator, count: int) -> list[Any]:
+    return [random_car(rng, f"v{i}", 15).moved(*rng.uniform(-8, 8, 2)) for i in range(count)]
 
 
 @pytest.mark.parametrize("step_s", [0.01, 0.05, 0.2])
-def test_the_motion_is_that_of_a_fine_simulation(kit: SimpleNamespace, step_s: float) -> None:
+def test_the_motion_is_that_of_a_fine_simulation(step_s: float) -> None:
     rng = np.random.default_rng(1)
-    cars = nearby_cars(kit, rng, 4)
-    motion = case_of(kit.Scene(cars), parse_config(f"[certificate]\nstep_s = {step_s}")).motion
+    cars = nearby_cars(rng, 4)
+    motion = case_of(Scene(cars), parse_config(f"[certificate]\nstep_s = {step_s}")).motion
     assert motion.judged.all()
     for row, car in enumerate(cars):
         times = car.times_s(1.0)[:-1]
@@ -45,16 +47,16 @@ def test_the_motion_is_that_of_a_fine_simulation(kit: SimpleNamespace, step_s: f
         assert np.abs(states[:, 2] - car.dense[:-1, 2]).max() < 1e-7
 
 
-def test_bounds_hold_for_the_fine_simulation(kit: SimpleNamespace) -> None:
+def test_bounds_hold_for_the_fine_simulation() -> None:
     rng = np.random.default_rng(2)
-    cars = nearby_cars(kit, rng, 6)
-    motion = case_of(kit.Scene(cars)).motion
+    cars = nearby_cars(rng, 6)
+    motion = case_of(Scene(cars)).motion
     bodies = moving_bodies(motion)
     for row, car in enumerate(cars):
-        h = 0.2 / kit.dense
+        h = 0.2 / DENSE
         speed, turn = car.dense[:, 4], car.dense[:, 4] * np.tan(car.dense[:, 3]) / car.dimensions[2]
         centre_velocity = np.diff(car.centres()[:, :2], axis=0) / h
-        piece = np.repeat(np.arange(15), kit.dense)
+        piece = np.repeat(np.arange(15), DENSE)
         for values, bound in (
             (np.abs(speed[:-1]), motion.bounds[row, piece, 0]),
             (np.abs(car.dense[:-1, 5]), motion.bounds[row, piece, 1]),
@@ -73,10 +75,10 @@ def test_bounds_hold_for_the_fine_simulation(kit: SimpleNamespace) -> None:
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_dense_sampling_never_finds_less_than_the_proven_separation(kit: SimpleNamespace, seed: int) -> None:
+def test_dense_sampling_never_finds_less_than_the_proven_separation(seed: int) -> None:
     rng = np.random.default_rng(seed)
-    cars = nearby_cars(kit, rng, 3)
-    case = case_of(kit.Scene(cars))
+    cars = nearby_cars(rng, 3)
+    case = case_of(Scene(cars))
     boxes = [car.boxes() for car in cars]
     dense = {(i, j): box_gap(boxes[i], boxes[j]) for i in range(3) for j in range(i + 1, 3)}
     truth = min(gaps.min() for gaps in dense.values())
@@ -86,25 +88,23 @@ def test_dense_sampling_never_finds_less_than_the_proven_separation(kit: SimpleN
     if truth > 0.01:
         assert least.proven > 0.0
     # The witness is where it says.
-    k = round(least.time_s / 0.2 * kit.dense)
+    k = round(least.time_s / 0.2 * DENSE)
     assert dense[least.first, least.second][k] == pytest.approx(least.found, abs=0.03)
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_dense_sampling_never_finds_less_than_the_proven_distance_from_obstacles(
-    kit: SimpleNamespace, seed: int
-) -> None:
+def test_dense_sampling_never_finds_less_than_the_proven_distance_from_obstacles(seed: int) -> None:
     rng = np.random.default_rng(100 + seed)
-    cars = nearby_cars(kit, rng, 2)
+    cars = nearby_cars(rng, 2)
     centres, sizes = rng.uniform(-15, 15, (4, 3, 2)), rng.uniform(0.2, 3, (4, 3, 2))
     low, high = centres - sizes / 2, centres + sizes / 2
     walls = np.stack([low[..., 0], high[..., 0], low[..., 1], high[..., 1]], axis=-1)
     walls[0, 1] = np.nan
-    case = case_of(kit.Scene(cars, obstacles={f"o{i}": rows for i, rows in enumerate(walls)}))
+    case = case_of(Scene(cars, obstacles={f"o{i}": rows for i, rows in enumerate(walls)}))
     truth = np.inf
     for car in cars:
         for k in range(3):
-            closed = slice(5 * k * kit.dense, 5 * (k + 1) * kit.dense + 1)
+            closed = slice(5 * k * DENSE, 5 * (k + 1) * DENSE + 1)
             for i in range(4):
                 box = [*centres[i, k], 0.0, *sizes[i, k]]
                 if np.isfinite(walls[i, k]).all():
@@ -117,19 +117,19 @@ def test_dense_sampling_never_finds_less_than_the_proven_distance_from_obstacles
 
 
 @pytest.mark.parametrize("seed", range(40))
-def test_dense_sampling_never_leaves_a_corridor_that_was_proven(kit: SimpleNamespace, seed: int) -> None:
+def test_dense_sampling_never_leaves_a_corridor_that_was_proven(seed: int) -> None:
     rng = np.random.default_rng(200 + seed)
-    cars = nearby_cars(kit, rng, 2)
+    cars = nearby_cars(rng, 2)
     # Walls that the truth grazes from either side.
     cubes = {
         car.name: car.hulls(1.0, 0.0) + rng.normal(0, 1e-4, (3, 4)) + [-1e-4, 1e-4, -1e-4, 1e-4]
         for car in cars
     }
-    case = case_of(kit.Scene(cars, cubes=cubes))
+    case = case_of(Scene(cars, cubes=cubes))
     truth = np.inf
     for car in cars:
         for k in range(3):
-            closed = slice(5 * k * kit.dense, 5 * (k + 1) * kit.dense + 1)
+            closed = slice(5 * k * DENSE, 5 * (k + 1) * DENSE + 1)
             truth = min(truth, wall_margin(car.boxes()[closed], cubes[car.name][k]).min())
     least = least_inside(case.motion, case.walls_m, 1e-6)
     assert least.proven <= truth + 1e-9
@@ -140,32 +140,32 @@ def test_dense_sampling_never_leaves_a_corridor_that_was_proven(kit: SimpleNames
         assert least.proven >= -1e-6
 
 
-def test_a_gap_that_is_widest_in_the_middle_is_bounded_by_the_accelerations(kit: SimpleNamespace) -> None:
+def test_a_gap_that_is_widest_in_the_middle_is_bounded_by_the_accelerations() -> None:
     # In the middle of the only step the relative speed is zero: 5 m/s against 6 m/s and braking.
-    behind = kit.straight_car("a", 0.0, 0.0, 0.0, 5.0, 1)
-    ahead = kit.Car("b", np.array([8.0, 0.0, 0.0, 0.0, 6.0, -10.0]), np.zeros((1, 2)), 0.2)
-    case = case_of(kit.Scene([behind, ahead], unit_s=0.2))
+    behind = straight_car("a", 0.0, 0.0, 0.0, 5.0, 1)
+    ahead = Car("b", np.array([8.0, 0.0, 0.0, 0.0, 6.0, -10.0]), np.zeros((1, 2)), 0.2)
+    case = case_of(Scene([behind, ahead], unit_s=0.2))
     least = least_gap(moving_bodies(case.motion), None, case.motion.edges_s, 0.0, 0.0)
     truth = 8.0 + 1.35 - 4.5
     assert least.proven <= truth
     assert least.found == pytest.approx(truth, abs=1e-3)
 
 
-def test_a_pair_that_is_far_in_the_middle_of_a_step_is_not_left_out(kit: SimpleNamespace) -> None:
+def test_a_pair_that_is_far_in_the_middle_of_a_step_is_not_left_out() -> None:
     cars = [
-        kit.straight_car("a", 0.0, 0.0, 0.0, 0.0, 1, 1.0),
-        kit.straight_car("b", 0.0, 10.0, 0.0, 0.0, 1, 1.0),  # 8.1 m from a, all the time
-        kit.straight_car("c", 100.0, 0.0, 0.0, 5.0, 1, 1.0),
-        kit.straight_car("d", 120.0, 0.0, np.pi, 5.0, 1, 1.0),  # 5.5 m from c, at the end
+        straight_car("a", 0.0, 0.0, 0.0, 0.0, 1, 1.0),
+        straight_car("b", 0.0, 10.0, 0.0, 0.0, 1, 1.0),  # 8.1 m from a, all the time
+        straight_car("c", 100.0, 0.0, 0.0, 5.0, 1, 1.0),
+        straight_car("d", 120.0, 0.0, np.pi, 5.0, 1, 1.0),  # 5.5 m from c, at the end
     ]
-    case = case_of(kit.Scene(cars))
+    case = case_of(Scene(cars))
     least = least_gap(moving_bodies(case.motion), None, case.motion.edges_s, 0.0, 0.0)
     assert (least.first, least.second) == (2, 3)
     assert least.found == pytest.approx(5.5, abs=1e-3)
 
 
-def test_knots_a_rounding_off_a_boundary_are_on_it(kit: SimpleNamespace) -> None:
-    scene = kit.Scene([kit.straight_car("a", 0, 0, 0, 5.0, 10)])
+def test_knots_a_rounding_off_a_boundary_are_on_it() -> None:
+    scene = Scene([straight_car("a", 0, 0, 0, 5.0, 10)])
     result = scene.result()
     for late_ns in (-700, 700):
         late = (
@@ -180,18 +180,18 @@ def test_knots_a_rounding_off_a_boundary_are_on_it(kit: SimpleNamespace) -> None
         assert (case.units >= 0).all()
 
 
-def test_parallel_traffic_is_proven_at_any_gap(kit: SimpleNamespace) -> None:
-    cars = [kit.straight_car(f"v{i}", 2.0 * i, i * (1.9 + 1e-6), 0.0, 8.0, 40) for i in range(4)]
-    case = case_of(kit.Scene(cars))
+def test_parallel_traffic_is_proven_at_any_gap() -> None:
+    cars = [straight_car(f"v{i}", 2.0 * i, i * (1.9 + 1e-6), 0.0, 8.0, 40) for i in range(4)]
+    case = case_of(Scene(cars))
     least = least_gap(moving_bodies(case.motion), None, case.motion.edges_s, 0.0, 0.0)
     assert least.found == pytest.approx(1e-6, abs=1e-9)
     assert least.proven > 0.0
 
 
-def test_touching_is_never_proven_apart(kit: SimpleNamespace) -> None:
+def test_touching_is_never_proven_apart() -> None:
     # A car that passes a wall at a distance of exactly nothing, and of next to nothing.
     for gap in (0.0, 1e-12):
-        scene = kit.Scene([kit.straight_car("a", 0, 0, 0.0, 8.0, 40)])
+        scene = Scene([straight_car("a", 0, 0, 0.0, 8.0, 40)])
         scene.obstacles = {"wall": np.tile([10.0, 50.0, 0.95 + gap, 3.0], (8, 1))}
         case = case_of(scene)
         least = least_gap(
@@ -201,9 +201,9 @@ def test_touching_is_never_proven_apart(kit: SimpleNamespace) -> None:
         assert least.found == pytest.approx(gap, abs=1e-9)
 
 
-def test_nothing_to_look_at_is_told_as_such(kit: SimpleNamespace) -> None:
-    cars = [kit.straight_car("a", 0, 0, 0, 5.0, 5), kit.straight_car("b", 0, 0, 0, 5.0, 5, first_unit=2)]
-    case = case_of(kit.Scene(cars))
+def test_nothing_to_look_at_is_told_as_such() -> None:
+    cars = [straight_car("a", 0, 0, 0, 5.0, 5), straight_car("b", 0, 0, 0, 5.0, 5, first_unit=2)]
+    case = case_of(Scene(cars))
     bodies = moving_bodies(case.motion)
     assert least_gap(bodies, None, case.motion.edges_s, 0.0, 0.0) == Least()
     assert least_gap(bodies, standing_bodies(case.obstacles_m), case.motion.edges_s, 0.0, 0.0) == Least()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,6 +13,9 @@ from istc_replay.config import Config
 from istc_replay.safety.boxes import box_gap
 from istc_replay.safety.log_audit import Audit, audit_log
 from istc_replay.safety.turning import turning_contact
+
+from ..support.encounters import recorded
+from ..support.tracks import log_of
 
 Array = NDArray[np.float64]
 T = np.arange(0.0, 8.01, 0.1)
@@ -62,7 +64,7 @@ def test_contacts_are_those_of_small_steps() -> None:
     assert np.abs(found[both] - expected[both]).max() < 0.01
 
 
-def bend(logs: SimpleNamespace, name: str, **changes: Any) -> pl.DataFrame:
+def bend(name: str, **changes: Any) -> pl.DataFrame:
     """North at 6 m/s, then a right turn of 8 m, and on to the east."""
     radius, speed = 8.0, 6.0
     s = speed * T - 15.0
@@ -72,42 +74,40 @@ def bend(logs: SimpleNamespace, name: str, **changes: Any) -> pl.DataFrame:
     y = np.where(s < 0.0, s, radius * np.sin(angle))
     heading = np.pi / 2 - angle
     columns = {"x_m": x, "y_m": y, "heading_rad": heading, "speed_mps": speed, "rear_axle_to_centre_m": 0.0}
-    return logs.recorded(name, T, **columns | changes)
+    return recorded(name, T, **columns | changes)
 
 
 def of(audit: Audit, rule: str) -> list[dict[str, Any]]:
     return audit.findings.filter(pl.col("rule") == rule).to_dicts()
 
 
-def test_a_turning_car_that_points_at_a_waiting_one_is_a_minor_finding_that_says_why(
-    logs: SimpleNamespace,
-) -> None:
+def test_a_turning_car_that_points_at_a_waiting_one_is_a_minor_finding_that_says_why() -> None:
     # It waits beyond the bend, in the oncoming lane: pointed at for a moment, never driven at.
-    waiting = logs.recorded("w", T, x_m=7.0, y_m=13.5, heading_rad=-np.pi / 2, speed_mps=0.0)
-    found = of(audit_log(logs.log_of(bend(logs, "turns"), waiting), Config()), "ttc")
+    waiting = recorded("w", T, x_m=7.0, y_m=13.5, heading_rad=-np.pi / 2, speed_mps=0.0)
+    found = of(audit_log(log_of(bend("turns"), waiting), Config()), "ttc")
     assert [row["severity"] for row in found] == ["minor"]
     assert found[0]["value"] < 1.5
     assert "with the yaw rates held there is no contact" in found[0]["detail"]
 
 
-def test_a_car_that_goes_straight_at_a_waiting_one_is_as_severe_as_ever(logs: SimpleNamespace) -> None:
-    ahead = logs.recorded("w", T, x_m=0.0, y_m=18.0, heading_rad=-np.pi / 2, speed_mps=0.0)
-    straight = bend(logs, "straight", x_m=0.0, y_m=6.0 * T - 15.0, heading_rad=np.pi / 2)
-    found = of(audit_log(logs.log_of(straight, ahead), Config()), "ttc")
+def test_a_car_that_goes_straight_at_a_waiting_one_is_as_severe_as_ever() -> None:
+    ahead = recorded("w", T, x_m=0.0, y_m=18.0, heading_rad=-np.pi / 2, speed_mps=0.0)
+    straight = bend("straight", x_m=0.0, y_m=6.0 * T - 15.0, heading_rad=np.pi / 2)
+    found = of(audit_log(log_of(straight, ahead), Config()), "ttc")
     assert [row["severity"] for row in found] == ["critical"]
 
 
-def test_a_car_that_turns_into_another_one_is_as_severe_as_ever(logs: SimpleNamespace) -> None:
+def test_a_car_that_turns_into_another_one_is_as_severe_as_ever() -> None:
     # It waits where the bend leads.
-    waiting = logs.recorded("w", T, x_m=14.5, y_m=8.0, heading_rad=0.0, speed_mps=0.0)
-    found = of(audit_log(logs.log_of(bend(logs, "turns"), waiting), Config()), "ttc")
+    waiting = recorded("w", T, x_m=14.5, y_m=8.0, heading_rad=0.0, speed_mps=0.0)
+    found = of(audit_log(log_of(bend("turns"), waiting), Config()), "ttc")
     assert "critical" in [row["severity"] for row in found]
 
 
 @pytest.mark.parametrize("rule", ["drac", "required_deceleration"])
-def test_the_yaw_rate_threshold_is_configurable(rule: str, logs: SimpleNamespace) -> None:
-    waiting = logs.recorded("w", T, x_m=7.0, y_m=12.5, heading_rad=-np.pi / 2, speed_mps=0.0)
-    log = logs.log_of(bend(logs, "turns"), waiting)
+def test_the_yaw_rate_threshold_is_configurable(rule: str) -> None:
+    waiting = recorded("w", T, x_m=7.0, y_m=12.5, heading_rad=-np.pi / 2, speed_mps=0.0)
+    log = log_of(bend("turns"), waiting)
     straight = Config.model_validate({"audit": {"turning_radps": 100.0}})
     severe = {row["severity"] for row in of(audit_log(log, straight), rule)}
     assert severe & {"serious", "critical"}
