@@ -125,41 +125,6 @@ def _best_partial(tried: Sequence[Rounds]) -> WindowPlan:
     return best
 
 
-def plan_window(
-    scenario: Scenario,
-    config: Config,
-    planner: TrajectoryPlanner,
-    progress: Callable[[str], None] = lambda _: None,
-    repairer: RecordingRepairer | None = None,
-) -> WindowPlan:
-    """Plan one window; every outcome is a WindowPlan with its status and reason.
-
-    A vehicle that cannot be driven in its corridor has its layer-1 limits tightened and layer 1
-    is solved again, at most `trajectories.feedback_rounds` times. In traffic, vehicles that still
-    cannot be planned are frozen to their recording, and the others are planned around them.
-
-    Parameters
-    ----------
-    scenario : Scenario
-        Who takes part.
-    config : Config
-        Settings of both layers.
-    planner : TrajectoryPlanner
-        Keeps the NLPs that it built, so that windows share them.
-    progress : callable
-        Told in words what is being done.
-    repairer : RecordingRepairer, optional
-        Keeps the NLPs that repair recordings.
-    """
-    repairs = Repairs(repairer or RecordingRepairer(config.trajectories))
-    rounds = _begin(scenario, config, planner, progress, repairs)
-    rounds.may_freeze = True
-    plan = rounds.run()
-    if plan is None:
-        raise SolveError("a window's rounds ended without an outcome: please report this log")
-    return plan
-
-
 def _begin(
     scenario: Scenario,
     config: Config,

@@ -10,9 +10,7 @@ import polars as pl
 import pytest
 
 from istc_replay.config import Config
-from istc_replay.coordinate import Planners, plan_window
 from istc_replay.datatypes import Log, WindowPlan, WindowStatus
-from istc_replay.scenario import build_scenarios
 
 from .support.planning import FAST, planned, replayed
 from .support.tracks import BUSY, driver, log_of, turned
@@ -144,7 +142,6 @@ def test_cars_that_pass_closely_at_an_angle_are_held_to_their_headings() -> None
 
 def test_constant_speed_remains_a_choice_for_traffic() -> None:
     config = FAST.model_copy(update={"guidance": FAST.guidance.model_copy(update={"law": "constant"})})
-    scenario = next(iter(build_scenarios(BUSY, config)))
-    plan = plan_window(scenario, config, Planners(config).of(scenario))
+    plan = planned(BUSY, config)
     assert plan.status is WindowStatus.NOT_CERTIFIED
     assert all(g.slack_rad is None for g in plan.guidance)

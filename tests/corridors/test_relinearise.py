@@ -10,13 +10,13 @@ import pytest
 
 from istc_replay.bench import recorded_log
 from istc_replay.config import Config
-from istc_replay.coordinate import plan_window, speed_max_mps
+from istc_replay.coordinate import speed_max_mps
 from istc_replay.corridors.formulation import build_problem, default_limits
 from istc_replay.corridors.relinearise import frames_about, headings_beside, with_references
 from istc_replay.corridors.solve import solve_corridors
 from istc_replay.samples.scenes import find_sample
-from istc_replay.scenario import build_scenarios
-from istc_replay.trajectories.plan import TrajectoryPlanner
+
+from ..support.planning import planned
 
 
 def test_headings_are_those_of_the_path_beside_and_never_go_back() -> None:
@@ -58,11 +58,11 @@ def test_vehicles_that_gave_way_among_obstacles_arrive_when_frames_follow_them(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     # A crowded scene would start from seeds, whose frames follow them from the outset.
-    for module in ("datatypes", "samples.scenes"):
+    for module in ("datatypes.scenario", "samples.scenes"):
         monkeypatch.setattr(f"istc_replay.{module}.CROWD", 5)
     config = Config.model_validate({"corridors": {"mode": "fast"}})
-    scenario = next(iter(build_scenarios(recorded_log(find_sample("dense_4_obstacles").record()), config)))
-    follow = plan_window(scenario, config, TrajectoryPlanner(config.trajectories, scenario.window.unit_s))
+    follow = planned(recorded_log(find_sample("dense_4_obstacles").record()), config)
+    scenario = follow.scenario
     fixed = config.corridors.model_copy(update={"frame_rounds": 0})
     limits = {p.vehicle_id: default_limits(fixed) for p in scenario.participants}
     stay = solve_corridors(scenario, follow.guidance, fixed, limits, speed_max_mps(scenario, config))

@@ -10,23 +10,14 @@ import polars as pl
 import pytest
 
 import istc_replay
-from istc_replay.config import Config
-from istc_replay.coordinate import plan_window
 from istc_replay.datatypes import Log, MapBounds, StaticScene, WindowPlan, WindowStatus, read_only
 from istc_replay.ingest.log import read_log
 from istc_replay.pipeline.replay import replay_log
-from istc_replay.scenario import build_scenarios
-from istc_replay.trajectories.plan import TrajectoryPlanner
+
+from ..support.planning import FAST, planned
 
 SAMPLE_LOGS = Path(__file__).resolve().parents[2] / "sample_logs"
 TURN_FIRST = SAMPLE_LOGS / "intersection_turn_first.mcap"
-FAST = Config.model_validate({"corridors": {"mode": "fast"}})
-
-
-def planned(log: Log, config: Config = FAST) -> WindowPlan:
-    """The plan of a log's one window."""
-    scenario = next(iter(build_scenarios(log, config)))
-    return plan_window(scenario, config, TrajectoryPlanner(config.trajectories, scenario.window.unit_s))
 
 
 def moved(log: Log, quarter_turns: int, shift_m: tuple[float, float], names: dict[str, str]) -> Log:
