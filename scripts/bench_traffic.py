@@ -12,7 +12,8 @@ from typing import Any
 from istc_replay.config import Config, load_config
 from istc_replay.errors import IstcReplayError
 from istc_replay.ingest.log import read_log
-from istc_replay.pipeline.replay import assemble, import_method
+from istc_replay.pipeline.assembly import assemble
+from istc_replay.pipeline.libraries import import_method
 from istc_replay.pipeline.windows import plan_windows
 
 HEAD = (

@@ -10,7 +10,8 @@ import pytest
 from istc_replay.bench import recorded_log
 from istc_replay.config import Config
 from istc_replay.errors import ScenarioError
-from istc_replay.pipeline.replay import Replay, replay_read
+from istc_replay.pipeline.assembly import Replay
+from istc_replay.pipeline.replay import replay_read
 from istc_replay.samples.sceneform import SceneFile, parse_scene
 from istc_replay.samples.scenes import record
 

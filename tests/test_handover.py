@@ -13,7 +13,8 @@ from istc_replay.bench import recorded_log
 from istc_replay.config import Config, parse_config
 from istc_replay.datatypes import Log, Verdict
 from istc_replay.errors import ScenarioError
-from istc_replay.pipeline.replay import Replay, replay_read
+from istc_replay.pipeline.assembly import Replay
+from istc_replay.pipeline.replay import replay_read
 from istc_replay.pipeline.windows import plan_windows
 from istc_replay.safety.certificate import certify
 from istc_replay.samples.scenes import find_sample

@@ -16,7 +16,8 @@ from istc_replay.coordinate import Planners, plan_part
 from istc_replay.datatypes import LaneLine, Log, RoadEdge, StaticScene, Verdict, WindowPlan, read_only
 from istc_replay.geometry import box_corners
 from istc_replay.lateral import PATH, RECORDING, ROAD, kinds, lateral, lateral_bound
-from istc_replay.pipeline.replay import Replay, replay_read
+from istc_replay.pipeline.assembly import Replay
+from istc_replay.pipeline.replay import replay_read
 from istc_replay.polyline import beside
 from istc_replay.road import Road
 from istc_replay.safety.certificate import certify

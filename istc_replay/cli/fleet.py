@@ -118,7 +118,7 @@ def run(
 def _orders(config_path: Path | None, options: dict[str, Any]) -> Orders:
     from istc_replay.config import load_config
     from istc_replay.fleet.drive import Orders
-    from istc_replay.pipeline.replay import RUN_OUTPUTS
+    from istc_replay.pipeline.run import RUN_OUTPUTS
 
     load_config(config_path)  # tells what is wrong with it, by its own name
     outputs = {output.split(".")[0]: output for output in RUN_OUTPUTS}

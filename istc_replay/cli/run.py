@@ -48,7 +48,7 @@ def run(
     A long log is planned window by window; a run that was stopped goes on where it was.
     """
     from istc_replay.config import load_config
-    from istc_replay.pipeline.replay import result_folders, run_log
+    from istc_replay.pipeline.run import result_folders, run_log
 
     config = load_config(config_path)
     if road is not None:

@@ -22,7 +22,7 @@ from istc_replay.fleet.manifest import ENDINGS, SCHEMA, Entry, Manifest, this_pr
 from istc_replay.fleet.outputs import job_key, logs_folder, recover, whole_receipt
 from istc_replay.fleet.progress import Progress
 from istc_replay.fleet.telling import CallLog, Summary
-from istc_replay.pipeline.replay import RUN_OUTPUTS
+from istc_replay.pipeline.run import RUN_OUTPUTS
 
 #: Files hashed at once where an earlier call is checked.
 _CHECKERS = 4

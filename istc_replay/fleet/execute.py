@@ -23,7 +23,7 @@ from istc_replay.fleet.outputs import job_folder, job_key, logs_folder, publish,
 
 if TYPE_CHECKING:
     from istc_replay.datatypes import Log
-    from istc_replay.pipeline.replay import Replay
+    from istc_replay.pipeline.assembly import Replay
 
 #: Errors of writing that no other log would be spared: the fleet stops.
 _STOPS = (errno.ENOSPC, errno.EDQUOT, errno.EROFS, errno.EFBIG)
@@ -136,7 +136,7 @@ def _plan(job: Job, config: Config, log: Log, facts: dict[str, str]) -> dict[str
 
 def _plan_part(log: Log, config: Config, windows: tuple[int, int], kept: Path) -> None:
     """Plan some windows of a log; the job that joins them finds them done."""
-    from istc_replay.pipeline.replay import versions
+    from istc_replay.pipeline.libraries import versions
     from istc_replay.pipeline.windows import plan_windows
     from istc_replay.pipeline.work_folder import WorkFolder
     from istc_replay.windows import settled_config
@@ -149,7 +149,8 @@ def _plan_part(log: Log, config: Config, windows: tuple[int, int], kept: Path) -
 
 def _whole(job: Job, config: Config, log: Log, kept: Path, facts: dict[str, str]) -> dict[str, Any]:
     from istc_replay.fleet.inputs import file_name
-    from istc_replay.pipeline.replay import RESULT, replay_read, write_run
+    from istc_replay.pipeline.replay import replay_read
+    from istc_replay.pipeline.run import RESULT, write_run
 
     fleet = Path(job.fleet)
     with job_folder(fleet, job.name) as folder:

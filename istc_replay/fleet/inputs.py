@@ -14,7 +14,7 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from istc_replay.errors import LogError, UsageError
-from istc_replay.pipeline.replay import folder_name
+from istc_replay.pipeline.run import folder_name
 
 #: Bytes that are copied or hashed at a time.
 _BLOCK = 1 << 20

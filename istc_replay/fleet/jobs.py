@@ -12,7 +12,8 @@ from typing import Any
 
 from istc_replay.config import Config
 from istc_replay.ingest.road_file import road_sha256
-from istc_replay.pipeline.replay import RUN_OUTPUTS, versions
+from istc_replay.pipeline.libraries import versions
+from istc_replay.pipeline.run import RUN_OUTPUTS
 
 
 @dataclass(frozen=True, slots=True)

@@ -40,8 +40,9 @@ def main(memory_mb: float, time_s: float) -> None:
     threading.Thread(target=_listen, args=(sys.stdin.buffer, jobs, ready), daemon=True).start()
     from istc_replay.fleet.execute import do_job
     from istc_replay.fleet.jobs import Job
+    from istc_replay.pipeline.libraries import import_method
 
-    _import_method()
+    import_method()
     _bound_memory(memory_mb)
     _tell(answers, {"ready": True})
     while True:
@@ -76,12 +77,6 @@ def _listen(source: IO[bytes], jobs: list[dict[str, Any]], ready: threading.Cond
 
 def _tell(answers: IO[bytes], message: dict[str, Any]) -> None:
     answers.write(json.dumps(message).encode() + b"\n")
-
-
-def _import_method() -> None:
-    import istc_replay.pipeline.replay
-
-    istc_replay.pipeline.replay.import_method()
 
 
 def _bound_memory(memory_mb: float) -> None:

@@ -41,7 +41,7 @@ class LiveView:
         """Show one window of a log; `config` as settled for the log."""
         if self.lost:
             return
-        from istc_replay.pipeline.replay import assemble
+        from istc_replay.pipeline.assembly import assemble
 
         spans = window_spans(log, config)
         index = outcome.plan.scenario.window.index

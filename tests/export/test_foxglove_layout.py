@@ -16,7 +16,8 @@ from mcap_protobuf.decoder import DecoderFactory
 from istc_replay.config import parse_config
 from istc_replay.datatypes import Result
 from istc_replay.export.foxglove_layout import foxglove_layout
-from istc_replay.pipeline.replay import Replay, replay_log
+from istc_replay.pipeline.assembly import Replay
+from istc_replay.pipeline.replay import replay_log
 
 ROOT = Path(__file__).resolve().parents[2]
 PATH = re.compile(r'("[^"]+"|[A-Za-z0-9_/]+)\.(\w+)')

@@ -17,7 +17,7 @@ from istc_replay.errors import UsageError
 from istc_replay.fleet.cell import Limits
 from istc_replay.fleet.manifest import Manifest, read_manifest
 from istc_replay.fleet.status import fleet_status, status_lines
-from istc_replay.pipeline.replay import run_log
+from istc_replay.pipeline.run import run_log
 from istc_replay.pipeline.tables import export_tables
 
 from .conftest import FAST, RunFleet, outputs

@@ -16,7 +16,7 @@ from istc_replay.export.rerun_stage import Anchor
 from istc_replay.export.sample_log import sample_bytes
 from istc_replay.pipeline import live as pipeline_live
 from istc_replay.pipeline.live import LiveView
-from istc_replay.pipeline.replay import run_log
+from istc_replay.pipeline.run import run_log
 from istc_replay.samples.scenes import SAMPLES
 
 S = 1_000_000_000

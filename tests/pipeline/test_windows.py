@@ -16,7 +16,9 @@ from istc_replay.datatypes import Log, StaticScene, WindowOutcome
 from istc_replay.errors import LogError, ScenarioError
 from istc_replay.export.sample_log import sample_bytes
 from istc_replay.ingest.log import read_log
-from istc_replay.pipeline.replay import assemble, replay_read, run_log
+from istc_replay.pipeline.assembly import assemble
+from istc_replay.pipeline.replay import replay_read
+from istc_replay.pipeline.run import run_log
 from istc_replay.pipeline.windows import plan_windows
 from istc_replay.pipeline.work_folder import WorkFolder, clear_work, packed, unpacked
 from istc_replay.plain import from_plain, to_plain

@@ -13,7 +13,8 @@ from istc_replay.config import Config
 from istc_replay.datatypes import Result, Verdict
 from istc_replay.ingest.log import read_log
 from istc_replay.ingest.result import read_result
-from istc_replay.pipeline.replay import Replay, replay_log
+from istc_replay.pipeline.assembly import Replay
+from istc_replay.pipeline.replay import replay_log
 from istc_replay.safety.log_audit import audit_log
 from istc_replay.safety.result_audit import audit_result
 

@@ -7,7 +7,8 @@ from typing import Any
 from istc_replay.config import Config
 from istc_replay.coordinate import Planners, plan_part
 from istc_replay.datatypes import Log, WindowPlan
-from istc_replay.pipeline.replay import Replay, replay_read
+from istc_replay.pipeline.assembly import Replay
+from istc_replay.pipeline.replay import replay_read
 from istc_replay.windows import LogPart, log_parts, settled_config
 
 FAST = Config.model_validate({"corridors": {"mode": "fast"}})
