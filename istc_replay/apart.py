@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from istc_replay.geometry import box_corners, shift_along
+from istc_replay.geometry import box_corners, box_poses
 from istc_replay.tracks import swept_boxes
 from istc_replay.trajectories.repair import recorded_poses
 
@@ -99,14 +99,14 @@ def least_clearance_m(scenario: Scenario, guidance: Sequence[Guidance]) -> float
 def recorded_boxes(
     participant: Participant, times_s: FloatArray, poses: FloatArray, scenario: Scenario
 ) -> FloatArray:
+    """Boxes (N, 4) that a participant sweeps on a motion, as of `tracks.swept_boxes`."""
     size = participant.dimensions
     return swept_boxes(times_s, poses, (size.length_m, size.width_m), scenario.window)
 
 
 def lateral_excursion_m(trajectory: Trajectory, guidance: Guidance) -> float:
     """How far sideways a plan leaves the path of its guidance [m]; before and after it, the path goes on."""
-    x, y, heading = trajectory.states[:, :3].T
-    centres = shift_along(x, y, heading, trajectory.dimensions.rear_axle_to_centre_m)
+    centres = box_poses(trajectory.states, trajectory.dimensions.rear_axle_to_centre_m)[:, :2]
     poses = guidance.poses
     moved = np.concatenate([[True], np.hypot(*np.diff(poses[:, :2], axis=0).T) > 1e-3])
     poses = poses[moved]

@@ -10,7 +10,7 @@ import numpy as np
 from istc_replay.apart import lateral_excursion_m
 from istc_replay.bicycle import dense_motion
 from istc_replay.datatypes import Change, FloatArray, Guidance, Trajectory, Window
-from istc_replay.geometry import shift_along
+from istc_replay.geometry import box_poses
 from istc_replay.guidance.path import Path
 from istc_replay.safety.boxes import box_gap
 
@@ -83,9 +83,8 @@ def _planned_poses(trajectory: Trajectory, times_s: FloatArray) -> FloatArray:
         trajectory.states[0], trajectory.controls, step_s, size.wheelbase_m, longest_s
     )
     states = np.vstack([dense[:, :-1].reshape(-1, 6), dense[-1, -1]])
-    centres = shift_along(states[:, 0], states[:, 1], states[:, 2], size.rear_axle_to_centre_m)
     at = trajectory.times_s[0] + np.arange(len(states)) * spacing_s
-    columns = np.column_stack([centres, states[:, 2]]).T
+    columns = box_poses(states, size.rear_axle_to_centre_m).T
     return np.stack([np.interp(times_s, at, column) for column in columns], axis=-1)
 
 

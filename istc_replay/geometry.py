@@ -54,6 +54,25 @@ def box_corners(
     return np.stack([x[..., None] + c * along - s * across, y[..., None] + s * along + c * across], axis=-1)
 
 
+def box_poses(states: ArrayLike, rear_axle_to_centre_m: float) -> FloatArray:
+    """Box centres and headings of a vehicle.
+
+    Parameters
+    ----------
+    states : array_like
+        (..., 3 or more): x, y, heading of the rear axle, whatever follows [m, m, rad].
+    rear_axle_to_centre_m : float
+        Distance from the rear axle forward to the box centre [m].
+
+    Returns
+    -------
+    ndarray
+        (..., 3): x, y of the box centre, and the heading as it is [m, m, rad].
+    """
+    x, y, heading = np.moveaxis(np.asarray(states, dtype=np.float64)[..., :3], -1, 0)
+    return np.concatenate([shift_along(x, y, heading, rear_axle_to_centre_m), heading[..., None]], axis=-1)
+
+
 def shift_along(x_m: ArrayLike, y_m: ArrayLike, heading_rad: ArrayLike, distance_m: ArrayLike) -> FloatArray:
     """Move points by a distance along their headings; (..., 2).
 

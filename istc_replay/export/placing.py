@@ -20,7 +20,7 @@ from istc_replay.datatypes import (
     Window,
     WindowPlan,
 )
-from istc_replay.geometry import shift_along, to_map
+from istc_replay.geometry import box_poses, to_map
 from istc_replay.units import NS_PER_S, seconds_to_ns, wrap_angle
 
 IntArray = NDArray[np.int64]
@@ -50,14 +50,14 @@ class PlannedMotion:
 
 def planned_motion(trajectory: Trajectory, window: Window) -> PlannedMotion:
     """Place a trajectory (rear axle, corridor frame, seconds) in the map frame and in absolute time."""
-    x, y, heading, steering, speed, acceleration = trajectory.states.T
-    centres = shift_along(x, y, heading, trajectory.dimensions.rear_axle_to_centre_m)
+    _, _, _, steering, speed, acceleration = trajectory.states.T
+    poses = box_poses(trajectory.states, trajectory.dimensions.rear_axle_to_centre_m)
     return PlannedMotion(
         vehicle_id=trajectory.vehicle_id,
         window=window.index,
         dimensions=trajectory.dimensions,
         times_ns=absolute_ns(window, trajectory.times_s),
-        poses=map_poses(np.column_stack([centres, heading]), window.frame),
+        poses=map_poses(poses, window.frame),
         speeds_mps=speed,
         accelerations_mps2=acceleration,
         steerings_rad=steering,

@@ -10,6 +10,7 @@ import numpy as np
 import polars as pl
 
 from istc_replay.datatypes import ARRIVED_M, SOUND, Verdict
+from istc_replay.geometry import box_poses
 from istc_replay.guidance.build import STANDING_MPS
 from istc_replay.ingest.result import SUMMARY_SCHEMA
 from istc_replay.safety.certificate import overall
@@ -277,10 +278,8 @@ def _motion(participant: Participant, trajectory: Trajectory) -> dict[str, Any]:
     }
     recording = participant.recording
     if recording.speeds_mps[-1] < STANDING_MPS:  # it has a goal: where it stands at the end
-        x, y, heading = trajectory.states[-1, :3]
-        ahead = trajectory.dimensions.rear_axle_to_centre_m
-        end = (x + ahead * np.cos(heading), y + ahead * np.sin(heading))
-        distance = float(np.hypot(*(recording.poses[-1, :2] - end)))
+        end = box_poses(trajectory.states[-1], trajectory.dimensions.rear_axle_to_centre_m)
+        distance = float(np.hypot(*(recording.poses[-1] - end)[:2]))
         arrived = distance <= ARRIVED_M
         found |= {
             "goal_distance_m": distance,

@@ -7,6 +7,7 @@ closed form are those of Shkel and Lumelsky, "Classification of the Dubins set" 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -18,6 +19,21 @@ _SIGNS = {"L": 1.0, "R": -1.0, "S": 0.0}
 #: Signed curvatures (6, 3) of the words' arcs at radius 1.
 WORD_CURVATURES = np.array([[_SIGNS[letter] for letter in name] for name in WORD_NAMES])
 _SAME = 1e-9
+
+
+class _Ends(NamedTuple):
+    """Headings `a`, `b` (..., 2) at start and goal from the line between them, as they are and mirrored.
+
+    `d` (..., 1) is the distance in radii; `ca`, `sa`, `cb`, `sb` are the headings' cosines and sines.
+    """
+
+    a: FloatArray
+    b: FloatArray
+    d: FloatArray
+    ca: FloatArray
+    sa: FloatArray
+    cb: FloatArray
+    sb: FloatArray
 
 
 def word_lengths(starts: FloatArray, goals: FloatArray, radius_m: float) -> FloatArray:
@@ -41,8 +57,8 @@ def word_lengths(starts: FloatArray, goals: FloatArray, radius_m: float) -> Floa
     # Headings from the line between the poses; a mirrored word is the word of the mirrored scene.
     a, b = starts[..., 2] - bearing, goals[..., 2] - bearing
     a, b = np.stack([a, -a], axis=-1), np.stack([b, -b], axis=-1)
-    turns = (np.cos(a), np.sin(a), np.cos(b), np.sin(b))
-    pairs = [solve(a, b, d, *turns) for solve in (_lsl, _lsr, _lrl)]
+    ends = _Ends(a, b, d, np.cos(a), np.sin(a), np.cos(b), np.sin(b))
+    pairs = [lengths(ends) for lengths in (_lsl, _lsr, _lrl)]
     return np.asarray(radius_m * np.concatenate(pairs, axis=-2))
 
 
@@ -52,15 +68,8 @@ def _turn(angle_rad: FloatArray) -> FloatArray:
     return np.where(2.0 * math.pi - turn < 1e-12, 0.0, turn)
 
 
-def _lsl(
-    a: FloatArray,
-    b: FloatArray,
-    d: FloatArray,
-    ca: FloatArray,
-    sa: FloatArray,
-    cb: FloatArray,
-    sb: FloatArray,
-) -> FloatArray:
+def _lsl(ends: _Ends) -> FloatArray:
+    a, b, d, ca, sa, cb, sb = ends
     x, y = d + sa - sb, cb - ca
     p = np.hypot(x, y)
     # Where start and goal lie on one circle the straight arc has no direction.
@@ -68,15 +77,8 @@ def _lsl(
     return np.stack([_turn(heading - a), np.where(p < _SAME, 0.0, p), _turn(b - heading)], axis=-1)
 
 
-def _lsr(
-    a: FloatArray,
-    b: FloatArray,
-    d: FloatArray,
-    ca: FloatArray,
-    sa: FloatArray,
-    cb: FloatArray,
-    sb: FloatArray,
-) -> FloatArray:
+def _lsr(ends: _Ends) -> FloatArray:
+    a, b, d, ca, sa, cb, sb = ends
     x, y = d + sa + sb, -ca - cb
     square = x * x + y * y - 4.0
     p = np.sqrt(np.maximum(square, 0.0))
@@ -85,15 +87,8 @@ def _lsr(
     return np.where((square < -_SAME)[..., None], np.inf, lengths)
 
 
-def _lrl(
-    a: FloatArray,
-    b: FloatArray,
-    d: FloatArray,
-    ca: FloatArray,
-    sa: FloatArray,
-    cb: FloatArray,
-    sb: FloatArray,
-) -> FloatArray:
+def _lrl(ends: _Ends) -> FloatArray:
+    a, b, d, ca, sa, cb, sb = ends
     x, y = d + sa - sb, cb - ca
     distance = np.hypot(x, y)
     p = 2.0 * math.pi - 2.0 * np.arcsin(np.minimum(distance / 4.0, 1.0))
