@@ -12,8 +12,8 @@ from istc_replay.config.sections import Count, NonNegative, Positive, Section
 class GuidanceConfig(Section):
     """Guidance trajectories."""
 
-    source: Literal["auto", "lane", "recorded"] = "auto"
-    """Path at constant speed: a lane line (its intent, or the lane it is in), or the recorded path."""
+    source: Literal["auto", "recorded"] = "auto"
+    """Path at constant speed; auto: a lane line (its intent, or the lane it is in) where one is told."""
     law: Literal["auto", "recorded", "constant"] = "auto"
     """The repaired recording by its own time, constant speed (the paper), or the former in traffic alone."""
     deviation_max_m: Positive = 1.0
