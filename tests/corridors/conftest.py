@@ -17,15 +17,11 @@ from istc_replay.corridors.problem import CorridorProblem
 from istc_replay.corridors.solve import solve_corridors
 from istc_replay.datatypes import (
     Corridors,
-    Dimensions,
     Frame,
     Guidance,
-    Log,
     Obstacle,
     Participant,
-    Recording,
     Scenario,
-    StartState,
     Window,
     read_only,
 )
@@ -33,7 +29,8 @@ from istc_replay.guidance.build import build_guidance
 from istc_replay.samples.scenes import find_sample
 from istc_replay.scenario import build_scenarios
 
-CAR = Dimensions(4.0, 2.0, 2.7, 1.35)
+from ..support.participants import straight_on
+from ..support.tracks import log_of
 
 
 @dataclass(frozen=True)
@@ -60,25 +57,9 @@ def straight_driver(
     vehicle_id: str, start: tuple[float, float, float], speed_mps: float, units: int, priority: float
 ) -> Participant:
     """A participant recorded driving straight on."""
-    x, y, heading = start
     times = np.linspace(0.0, units, 10 * units + 1)
-    poses = np.stack(
-        [
-            x + speed_mps * times * np.cos(heading),
-            y + speed_mps * times * np.sin(heading),
-            np.full(len(times), heading),
-        ],
-        axis=-1,
-    )
-    return Participant(
-        vehicle_id=vehicle_id,
-        dimensions=CAR,
-        priority=priority,
-        first_unit=0,
-        units=units,
-        start=StartState(x, y, heading, speed_mps),
-        recording=Recording(read_only(times), read_only(poses), read_only(np.full(len(times), speed_mps))),
-    )
+    speeds = np.full(len(times), speed_mps)
+    return straight_on(vehicle_id, start, times, speed_mps * times, speeds, units, priority)
 
 
 def case_of(participants: list[Participant], units: int, obstacles: tuple[Obstacle, ...] = ()) -> Case:
@@ -117,7 +98,7 @@ def intersection() -> Callable[[str], Case]:
         recorded = find_sample(name).record()
         stamps = [pl.col("time_ns").alias(c) for c in ("log_time_ns", "publish_time_ns")]
         states = recorded.states.with_columns(stamps).sort("vehicle_id", "time_ns")
-        log = Log(name, "0" * 64, True, 0, 0, 0, 0, None, None, (), states, recorded.scene, ())
+        log = log_of(states, scene=recorded.scene)
         config = Config()
         scenario = next(iter(build_scenarios(log, config)))
         return Case(scenario, build_guidance(scenario, config.guidance), config.corridors)

@@ -15,6 +15,8 @@ import pytest
 from istc_replay.config import ViewConfig
 from istc_replay.datatypes import Result
 
+from ..support.results import renamed
+
 Rows = list[dict[str, Any]]
 
 NASTY = {
@@ -79,7 +81,7 @@ def view_of(
 
 
 @pytest.fixture(scope="session")
-def hostile_result(synthetic_result: Result, renamed: Callable[[Result, dict[str, str]], Result]) -> Result:
+def hostile_result(synthetic_result: Result) -> Result:
     """A result whose every string is hostile: ids, paths, reasons, versions, settings."""
     hostile = renamed(synthetic_result, NASTY)
     left = {"vehicle_id": NASTY["car 2"] + "7", "reason": "<i>why</i>", "detail": NASTY["car 2"]}
@@ -126,7 +128,7 @@ def browser() -> Iterator[Any]:
 
 
 @pytest.fixture(scope="session")
-def crowd(synthetic_result: Result, renamed: Callable[[Result, dict[str, str]], Result]) -> Result:
+def crowd(synthetic_result: Result) -> Result:
     """Fifty-one vehicles: the three of `synthetic_result` in seventeen places."""
     cars = ("car 1", "car 2", "car 3")
     copies = []

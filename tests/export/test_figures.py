@@ -24,17 +24,10 @@ from istc_replay.export.figures.space_time import clip_segments
 from istc_replay.export.figures.style import drawable
 from istc_replay.export.figures.tracks import Track
 
+from ..support.results import renamed
+
 ALL = {"corridors", "own_corridors", "top_down", "filmstrip", "speed_acceleration", "separation"}
 RECORDED = {"top_down", "filmstrip", "speed_acceleration", "separation"}
-
-
-def renamed(result: Result, new_names: dict[str, str]) -> Result:
-    """The same result of vehicles by other names."""
-
-    def rename(table: pl.DataFrame) -> pl.DataFrame:
-        return table.with_columns(pl.col("vehicle_id").replace(new_names))
-
-    return replace(result, states=rename(result.states), corridors=rename(result.corridors))
 
 
 def with_window(result: Result, **changes: Any) -> Result:

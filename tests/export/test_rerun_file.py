@@ -24,6 +24,8 @@ from istc_replay.export.rerun_chunks import CHUNK_BYTES, CHUNK_ROWS, entity, lab
 from istc_replay.export.rerun_view import recording_id, view_chunks, write_view
 from istc_replay.states import RESULT_STATES_SCHEMA, conform
 
+from ..support.results import renamed
+
 S = 1_000_000_000
 
 Rows = list[dict[str, Any]]
@@ -175,28 +177,8 @@ NASTY = {
 DRAWN = set(map(chr, range(0x20, 0x7F))) | set("\u2013\u2026\u00b2")
 
 
-def _renamed(result: Result) -> Result:
-    def rename(value: Any) -> Any:
-        if isinstance(value, dict):
-            return {key: rename(item) for key, item in value.items()}
-        if isinstance(value, list):
-            return [rename(item) for item in value]
-        return NASTY.get(value, value) if isinstance(value, str) else value
-
-    names = pl.col("vehicle_id").replace(NASTY)
-    failed = result.certificates.with_columns(pl.col("vehicles").list.eval(pl.element().replace(NASTY)))
-    return replace(
-        result,
-        states=result.states.with_columns(names),
-        corridors=result.corridors.with_columns(names),
-        solves=result.solves.with_columns(names),
-        certificates=failed,
-        summary=rename(result.summary),
-    )
-
-
 def test_names_from_the_log_stay_text(synthetic_result: Result, view_of: View) -> None:
-    entities = view_of(_renamed(synthetic_result))
+    entities = view_of(renamed(synthetic_result, NASTY))
     for name in NASTY.values():
         shown = label(name)
         assert len(shown) <= 40
@@ -217,7 +199,7 @@ def test_names_from_the_log_stay_text(synthetic_result: Result, view_of: View) -
 
 
 def test_the_file_of_nasty_names_is_whole(synthetic_result: Result, tmp_path: Path) -> None:
-    write_view(_renamed(synthetic_result), ViewConfig(), tmp_path / "nasty.rrd")
+    write_view(renamed(synthetic_result, NASTY), ViewConfig(), tmp_path / "nasty.rrd")
     command = [sys.executable, "-m", "rerun_cli", "rrd", "verify", str(tmp_path / "nasty.rrd")]
     subprocess.run(command, check=True)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import time
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -19,6 +18,8 @@ from istc_replay.export.colours import vehicle_colours
 from istc_replay.export.rerun_blueprint import blueprint
 from istc_replay.export.rerun_view import Opening, recording_id, write_view
 from istc_replay.export.rerun_viewer import send_view
+
+from ..support.processes import listening
 
 
 def _picture(viewer: Any, seconds: float, view: str | None = None) -> np.ndarray:
@@ -125,7 +126,5 @@ def test_fifty_vehicles_are_not_a_clutter(viewer: Any, crowd: Result, tmp_path: 
     assert not _complaints(viewer)
 
 
-def test_the_viewer_listens_on_this_machine_alone(
-    viewer_process: Any, listening: Callable[[int], set[str]]
-) -> None:
+def test_the_viewer_listens_on_this_machine_alone(viewer_process: Any) -> None:
     assert listening(viewer_process.pid) == {"127.0.0.1"}

@@ -8,7 +8,7 @@ import signal
 import subprocess
 import sys
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -24,6 +24,8 @@ from istc_replay.errors import ExportError
 from istc_replay.export.rerun_view import Opening
 from istc_replay.export.web_bundle import write_bundle
 from istc_replay.export.web_server import folder_server
+
+from ..support.processes import listening
 
 INSTANT_NS = 4_250_000_000
 
@@ -85,7 +87,7 @@ def test_the_server_is_for_pages_of_this_machine_alone(folder: Path) -> None:
             caught.value.close()
 
 
-def test_the_server_listens_on_this_machine_alone(folder: Path, listening: Callable[[int], set[str]]) -> None:
+def test_the_server_listens_on_this_machine_alone(folder: Path) -> None:
     with served(folder):
         assert listening(os.getpid()) == {"127.0.0.1"}
 
@@ -208,9 +210,7 @@ def _leaves(message: bytes) -> Iterator[Any]:
 
 
 @pytest.mark.slow
-def test_view_web_serves_until_it_is_interrupted(
-    synthetic_bytes: bytes, tmp_path: Path, listening: Callable[[int], set[str]]
-) -> None:
+def test_view_web_serves_until_it_is_interrupted(synthetic_bytes: bytes, tmp_path: Path) -> None:
     (tmp_path / "result.mcap").write_bytes(synthetic_bytes)
     code = "from istc_replay.cli import main; main()"
     command = [sys.executable, "-c", code, "view", str(tmp_path / "result.mcap"), "--web", "--at", "2"]

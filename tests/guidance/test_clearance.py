@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 import shapely
 
-from istc_replay.datatypes import Dimensions, MapBounds, SceneObstacle
+from istc_replay.datatypes import MapBounds, SceneObstacle
 from istc_replay.geometry import box_corners, shift_along
 from istc_replay.guidance.clearance import Clearance
 
-CAR = Dimensions(4.0, 2.0, 2.7, 1.35)
+from ..support.participants import CAR
+
 FIELD = MapBounds(0.0, 20.0, 0.0, 15.0)
 OBSTACLES = [SceneObstacle("one", 10.0, 10.0, 0.3, 6.0, 3.0), SceneObstacle("two", 15.0, 4.0, 0.0, 4.0, 4.0)]
 FAR_M = 100.0

@@ -9,7 +9,6 @@ import pytest
 
 from istc_replay.config import GuidanceConfig
 from istc_replay.datatypes import (
-    Dimensions,
     Frame,
     Participant,
     Recording,
@@ -21,6 +20,8 @@ from istc_replay.datatypes import (
 from istc_replay.guidance.build import build_guidance, recorded_speed_mps
 from istc_replay.guidance.path import Path, constant_speed_then_stop
 
+from ..support.participants import CAR
+
 
 def recorded(poses: np.ndarray, speeds: np.ndarray, lane: np.ndarray | None = None) -> Scenario:
     """One vehicle recorded at 10 Hz over whole seconds."""
@@ -28,7 +29,7 @@ def recorded(poses: np.ndarray, speeds: np.ndarray, lane: np.ndarray | None = No
     x, y, heading = poses[0]
     participant = Participant(
         "1",
-        Dimensions(4.0, 2.0, 2.7, 1.35),
+        CAR,
         1.0,
         0,
         units,

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from istc_replay.datatypes import Dimensions, SceneObstacle
+from istc_replay.datatypes import SceneObstacle
 from istc_replay.geometry import shift_along
 from istc_replay.guidance.clearance import Clearance, MapBounds
 from istc_replay.guidance.other_routes import other_routes
 
-CAR = Dimensions(4.0, 2.0, 2.7, 1.35)
+from ..support.participants import CAR
+
 BOUNDS_M = (-25.0, 25.0, -25.0, 25.0)
 #: A block on the straight way.
 BLOCK = SceneObstacle("block", 0.0, 0.0, 0.0, 4.0, 4.0)

@@ -7,13 +7,14 @@ import math
 import numpy as np
 import pytest
 
-from istc_replay.datatypes import Dimensions, MapBounds, SceneObstacle
+from istc_replay.datatypes import MapBounds, SceneObstacle
 from istc_replay.guidance.clearance import Clearance
 from istc_replay.guidance.path_search import along_taut_lines, searched
 from istc_replay.guidance.taut import Limits
 from istc_replay.guidance.traffic import Traffic
 
-CAR = Dimensions(4.0, 2.0, 2.7, 1.35)
+from ..support.participants import CAR
+
 FIELD = MapBounds(0.0, 50.0, 0.0, 38.0)
 ENDS = np.array([[5.0, 19.0, 0.0], [45.0, 19.0, 0.0]])
 BLOCK = SceneObstacle("block", 25.0, 20.0, 0.0, 6.0, 8.0)

@@ -21,9 +21,10 @@ from istc_replay.guidance.curves import Curve, Pose
 from istc_replay.guidance.dubins import word_lengths
 from istc_replay.guidance.routes import Task, find_path, find_paths
 
+from ..support.participants import CAR
+
 SHARED = Path(__file__).resolve().parents[2] / "../shared/scenarios"
 DENSE = [f"dense_{count}{kind}" for count in (4, 6, 8) for kind in ("", "_obstacles", "_row")]
-CAR = Dimensions(4.0, 2.0, 2.7, 1.35)
 FIELD = MapBounds(0.0, 50.0, 0.0, 38.0)
 LEAST_RADIUS_M = 2.7 / math.tan(0.6)
 SETTINGS = GuidanceConfig()

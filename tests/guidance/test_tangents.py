@@ -7,14 +7,15 @@ import math
 import numpy as np
 import pytest
 
-from istc_replay.datatypes import Dimensions, MapBounds, SceneObstacle
+from istc_replay.datatypes import MapBounds, SceneObstacle
 from istc_replay.guidance.clearance import Clearance
 from istc_replay.guidance.curves import Pose, arc_poses
 from istc_replay.guidance.dubins import word_lengths
 from istc_replay.guidance.tangents import Sharp, inner_ends, sharp_paths
 from istc_replay.guidance.ways import Way, ways_round
 
-CAR = Dimensions(4.0, 2.0, 2.7, 1.35)
+from ..support.participants import CAR
+
 FIELD = MapBounds(0.0, 50.0, 0.0, 38.0)
 RADIUS_M, RAMP_M = 4.0, 3.0
 

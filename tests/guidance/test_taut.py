@@ -7,14 +7,15 @@ import math
 import numpy as np
 import pytest
 
-from istc_replay.datatypes import Dimensions, MapBounds, SceneObstacle
+from istc_replay.datatypes import MapBounds, SceneObstacle
 from istc_replay.guidance.clearance import Clearance
 from istc_replay.guidance.curves import Curve, Pose
 from istc_replay.guidance.tangents import sharp_paths
 from istc_replay.guidance.taut import Limits, pull_taut
 from istc_replay.guidance.ways import ways_round
 
-CAR = Dimensions(4.0, 2.0, 2.7, 1.35)
+from ..support.participants import CAR
+
 FIELD = MapBounds(0.0, 50.0, 0.0, 38.0)
 LEAST_M, PREFERRED_M, SHARPNESS = 4.0, 6.0, 0.05
 

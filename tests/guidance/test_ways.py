@@ -10,12 +10,13 @@ import numpy as np
 import pytest
 import shapely
 
-from istc_replay.datatypes import Dimensions, MapBounds, SceneObstacle
+from istc_replay.datatypes import MapBounds, SceneObstacle
 from istc_replay.geometry import box_corners
 from istc_replay.guidance.clearance import Clearance
 from istc_replay.guidance.ways import Way, ways_round
 
-CAR = Dimensions(4.0, 2.0, 2.7, 1.35)
+from ..support.participants import CAR
+
 FIELD = MapBounds(0.0, 50.0, 0.0, 38.0)
 ROOM_M = 1.3
 START, GOAL = np.array([5.0, 19.0]), np.array([45.0, 19.0])

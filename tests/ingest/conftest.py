@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import io
+import json
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import polars as pl
 import pytest
+from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
 from mcap.writer import CompressionType, Writer
 
 from istc_replay.ingest.layout import Decoded
+from istc_replay.ingest.walk import open_log
 from istc_replay.messages import descriptor_set, message
 
 T0_NS = 1_700_000_000_000_000_000
@@ -112,6 +116,32 @@ def one_vehicle(topic: type[Topic], vehicle_state: Callable[..., bytes]) -> Topi
             for k, time in enumerate(times)
         ],
     )
+
+
+@pytest.fixture(scope="session")
+def osi_descriptor(shared_logs: Path) -> bytes:
+    """OSI's FileDescriptorSet, as a third-party log embeds it, SensorView included."""
+    found = next(open_log(shared_logs / "third_party/pedestrian.mcap").messages())
+    assert found.channel.schema is not None
+    return found.channel.schema.data
+
+
+@pytest.fixture(scope="session")
+def osi(osi_descriptor: bytes) -> Callable[[str], Any]:
+    """A function that gives OSI's message classes, built here and not by the code under test."""
+    pool = descriptor_pool.DescriptorPool()
+    for file in descriptor_pb2.FileDescriptorSet.FromString(osi_descriptor).file:
+        pool.Add(file)
+    return lambda name: message_factory.GetMessageClass(pool.FindMessageTypeByName(f"osi3.{name}"))
+
+
+@pytest.fixture(scope="session")
+def json_truth(shared_logs: Path) -> pl.DataFrame:
+    """The states of `json_state.mcap`, parsed here; its positions are rear axles."""
+    rows = [json.loads(m.data) for m in open_log(shared_logs / "formats/json_state.mcap").messages()]
+    stamps = [row["timestamp"]["sec"] * 10**9 + row["timestamp"]["nsec"] for row in rows]
+    table = pl.DataFrame(rows).with_columns(time_ns=pl.Series(stamps, dtype=pl.Int64))
+    return table.sort("id", "time_ns")
 
 
 def decode(decoder: Any, payloads: list[bytes]) -> Decoded:

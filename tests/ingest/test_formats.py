@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import math
 from pathlib import Path
 from typing import Any
@@ -28,34 +27,25 @@ def codes(log: Any) -> set[str]:
     return {problem.code for problem in log.problems}
 
 
-@pytest.fixture(scope="module")
-def truth(shared_logs: Path) -> pl.DataFrame:
-    """The states that `json_state.mcap` tells; its positions are rear axles."""
-    rows = [json.loads(m.data) for m in open_log(shared_logs / "formats/json_state.mcap").messages()]
-    stamps = [row["timestamp"]["sec"] * 10**9 + row["timestamp"]["nsec"] for row in rows]
-    table = pl.DataFrame(rows).with_columns(time_ns=pl.Series(stamps, dtype=pl.Int64))
-    return table.sort("id", "time_ns")
-
-
-def test_odometry_and_osi_tell_the_same_truth_as_json(shared_logs: Path, truth: pl.DataFrame) -> None:
+def test_odometry_and_osi_tell_the_same_truth_as_json(shared_logs: Path, json_truth: pl.DataFrame) -> None:
     odometry = read_log(shared_logs / "formats/ros2_odom.mcap")
     osi = read_log(shared_logs / "formats/osi_gt.mcap")
     assert odometry.problems == osi.problems == ()
     assert odometry.complete
     assert osi.complete
-    x = truth["x"] + 1.35 * truth["yaw"].cos()
-    y = truth["y"] + 1.35 * truth["yaw"].sin()
+    x = json_truth["x"] + 1.35 * json_truth["yaw"].cos()
+    y = json_truth["y"] + 1.35 * json_truth["yaw"].sin()
     for states, prefix in ((odometry.states, "vehicle_"), (osi.states, "10")):
-        assert states["vehicle_id"].to_list() == [prefix + vehicle for vehicle in truth["id"]]
-        assert states["time_ns"].to_list() == truth["time_ns"].to_list()
+        assert states["vehicle_id"].to_list() == [prefix + vehicle for vehicle in json_truth["id"]]
+        assert states["time_ns"].to_list() == json_truth["time_ns"].to_list()
         assert (states["x_m"] - x).abs().max() < 1e-9
         assert (states["y_m"] - y).abs().max() < 1e-9
-        assert (states["speed_mps"] - truth["v"]).abs().max() < 1e-9
-        turn = states["heading_rad"] - truth["yaw"]
+        assert (states["speed_mps"] - json_truth["v"]).abs().max() < 1e-9
+        turn = states["heading_rad"] - json_truth["yaw"]
         assert (turn.sin().abs() + 1 - turn.cos()).max() < 1e-9
         assert states["heading_rad"].is_between(-math.pi, math.pi, closed="left").all()
-    assert (osi.states["acceleration_mps2"] - truth["a"]).abs().max() < 1e-9
-    assert osi.states["length_m"].to_list() == truth["length"].to_list()
+    assert (osi.states["acceleration_mps2"] - json_truth["a"]).abs().max() < 1e-9
+    assert osi.states["length_m"].to_list() == json_truth["length"].to_list()
     assert osi.states["rear_axle_to_centre_m"].unique().to_list() == pytest.approx([1.35])
 
 

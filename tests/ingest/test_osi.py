@@ -4,37 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any
 
 import pytest
-from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from google.protobuf import descriptor_pb2
 
 from istc_replay.config import parse_config
 from istc_replay.ingest.log import read_log
 from istc_replay.ingest.osi import message_type
 from istc_replay.ingest.payload import PayloadError
 from istc_replay.ingest.records import Schema
-from istc_replay.ingest.walk import open_log
 
 T0_NS = 1_700_000_000_000_000_000
-
-
-@pytest.fixture(scope="module")
-def descriptor(shared_logs: Path) -> bytes:
-    """OSI's FileDescriptorSet, as a third-party log embeds it, SensorView included."""
-    found = next(open_log(shared_logs / "third_party/pedestrian.mcap").messages())
-    assert found.channel.schema is not None
-    return found.channel.schema.data
-
-
-@pytest.fixture(scope="module")
-def osi(descriptor: bytes) -> Callable[[str], Any]:
-    """A function that gives OSI's message classes, built here and not by the code under test."""
-    pool = descriptor_pool.DescriptorPool()
-    for file in descriptor_pb2.FileDescriptorSet.FromString(descriptor).file:
-        pool.Add(file)
-    return lambda name: message_factory.GetMessageClass(pool.FindMessageTypeByName(f"osi3.{name}"))
 
 
 @pytest.fixture
@@ -56,11 +37,11 @@ def truth(osi: Any) -> Any:
 
 
 @pytest.fixture
-def read(write_log: Any, topic: Any, save: Any, descriptor: bytes) -> Callable[..., Any]:
+def read(write_log: Any, topic: Any, save: Any, osi_descriptor: bytes) -> Callable[..., Any]:
     """A function that logs one payload as OSI and reads it."""
 
     def as_log(payload: bytes, name: str = "osi3.GroundTruth", config: str = "") -> Any:
-        made = topic("osi", [(T0_NS, payload)], name, schema_data=descriptor)
+        made = topic("osi", [(T0_NS, payload)], name, schema_data=osi_descriptor)
         return read_log(save(write_log(made)), parse_config(config))
 
     return as_log
@@ -185,7 +166,7 @@ def test_a_payload_that_is_too_long_is_not_decoded(read: Any) -> None:
     assert [problem.code for problem in log.problems] == ["payload"]
 
 
-def test_schemas_that_cannot_serve_are_refused(descriptor: bytes) -> None:
+def test_schemas_that_cannot_serve_are_refused(osi_descriptor: bytes) -> None:
     circle = descriptor_pb2.FileDescriptorSet()
     circle.file.add(name="a.proto", dependency=["b.proto"])
     circle.file.add(name="b.proto", dependency=["a.proto"])
@@ -198,15 +179,15 @@ def test_schemas_that_cannot_serve_are_refused(descriptor: bytes) -> None:
         b"\xff",
         circle.SerializeToString(),
         twice.SerializeToString(),
-        descriptor[:-100],
+        osi_descriptor[:-100],
         bytes(2**23),
     ):
         with pytest.raises(PayloadError):
             message_type(Schema("osi3.GroundTruth", "protobuf", data))
 
 
-def test_files_of_a_schema_may_stand_in_any_order(descriptor: bytes) -> None:
-    files = descriptor_pb2.FileDescriptorSet.FromString(descriptor)
+def test_files_of_a_schema_may_stand_in_any_order(osi_descriptor: bytes) -> None:
+    files = descriptor_pb2.FileDescriptorSet.FromString(osi_descriptor)
     turned = descriptor_pb2.FileDescriptorSet(file=reversed(files.file))
     built = message_type(Schema("osi3.GroundTruth", "protobuf", turned.SerializeToString()))
     assert built.DESCRIPTOR.full_name == "osi3.GroundTruth"

@@ -14,33 +14,15 @@ from mcap.reader import make_reader
 
 from istc_replay.datatypes import LaneLine, Log, StaticScene
 from istc_replay.ingest.log import read_log
-from istc_replay.ingest.walk import open_log
 
 T0_NS = 1_700_000_000_000_000_000
 Points = list[tuple[float, float]]
 
 
-@pytest.fixture(scope="module")
-def descriptor(shared_logs: Path) -> bytes:
-    """OSI's FileDescriptorSet, as a third-party log embeds it."""
-    found = next(open_log(shared_logs / "third_party/pedestrian.mcap").messages())
-    assert found.channel.schema is not None
-    return found.channel.schema.data
-
-
-@pytest.fixture(scope="module")
-def ground_truth(descriptor: bytes) -> Any:
-    """OSI's GroundTruth, its class built here and not by the code under test."""
-    pool = descriptor_pool.DescriptorPool()
-    for file in descriptor_pb2.FileDescriptorSet.FromString(descriptor).file:
-        pool.Add(file)
-    return message_factory.GetMessageClass(pool.FindMessageTypeByName("osi3.GroundTruth"))
-
-
 @pytest.fixture
-def truth(ground_truth: Any) -> Any:
+def truth(osi: Callable[[str], Any]) -> Any:
     """A ground truth with one car."""
-    made = ground_truth()
+    made = osi("GroundTruth")()
     made.timestamp.seconds = 1
     car = made.moving_object.add()
     car.id.value = 1
@@ -50,12 +32,12 @@ def truth(ground_truth: Any) -> Any:
 
 
 @pytest.fixture
-def read(write_log: Any, topic: Any, save: Any, descriptor: bytes) -> Callable[..., Log]:
+def read(write_log: Any, topic: Any, save: Any, osi_descriptor: bytes) -> Callable[..., Log]:
     """A function that logs messages as OSI and reads them."""
 
     def as_log(*truths: Any) -> Log:
         told = [(T0_NS + row, each.SerializeToString()) for row, each in enumerate(truths)]
-        return read_log(save(write_log(topic("osi", told, "osi3.GroundTruth", schema_data=descriptor))))
+        return read_log(save(write_log(topic("osi", told, "osi3.GroundTruth", schema_data=osi_descriptor))))
 
     return as_log
 
@@ -141,13 +123,13 @@ def test_edges_lie_to_the_left_and_right_of_the_way_driven(truth: Any, read: Cal
 
 
 def test_what_is_told_once_or_late_or_again_makes_one_lane(
-    truth: Any, ground_truth: Any, read: Callable[..., Log]
+    truth: Any, osi: Callable[[str], Any], read: Callable[..., Log]
 ) -> None:
     lane(truth, 10, [], [1], [2])
-    later = ground_truth.FromString(truth.SerializeToString())
+    later = osi("GroundTruth").FromString(truth.SerializeToString())
     bound(later, 1, [(0.0, 4.0), (100.0, 4.0)])
     bound(later, 2, [(0.0, 0.0), (100.0, 0.0)])
-    again = ground_truth.FromString(later.SerializeToString())
+    again = osi("GroundTruth").FromString(later.SerializeToString())
     later.timestamp.seconds, again.timestamp.seconds = 2, 3
     log = read(truth, later, again)
     (line,) = log.scene.lane_lines

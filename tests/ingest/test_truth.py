@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Any
 
@@ -35,15 +34,6 @@ MAPPING = "\n".join(
 REAR_AXLE = "[vehicles]\nlength_m = 4.0\n"
 
 
-@pytest.fixture(scope="module")
-def truth(shared_logs: Path) -> pl.DataFrame:
-    """The states of `json_state.mcap`, parsed here; its positions are rear axles."""
-    rows = [json.loads(m.data) for m in open_log(shared_logs / "formats/json_state.mcap").messages()]
-    stamps = [row["timestamp"]["sec"] * 10**9 + row["timestamp"]["nsec"] for row in rows]
-    table = pl.DataFrame(rows).with_columns(time_ns=pl.Series(stamps, dtype=pl.Int64))
-    return table.sort("id", "time_ns")
-
-
 #: File, what is read of it, the vehicles' names, and what it tells beside pose and time.
 CASES = [
     ("ros2_odom", "", "vehicle_{}", {"speed"}),
@@ -64,38 +54,38 @@ CASES = [
 
 @pytest.mark.parametrize(("name", "config", "vehicle", "told"), CASES)
 def test_a_format_tells_the_truth(
-    name: str, config: str, vehicle: str, told: set[str], shared_logs: Path, truth: pl.DataFrame
+    name: str, config: str, vehicle: str, told: set[str], shared_logs: Path, json_truth: pl.DataFrame
 ) -> None:
     log = read_log(shared_logs / f"formats/{name}.mcap", parse_config(config))
     states = log.states
     first = 1 if name == "autoware_tracked" and "{}" in vehicle and vehicle.startswith("0") else 0
     assert log.problems == ()
-    assert states["vehicle_id"].to_list() == [vehicle.format(int(v) + first) for v in truth["id"]]
-    assert states["time_ns"].to_list() == truth["time_ns"].to_list()
-    assert (states["x_m"] - truth["x"] - 1.35 * truth["yaw"].cos()).abs().max() < 0.21
-    turn = (states["heading_rad"] - truth["yaw"]).to_numpy()
+    assert states["vehicle_id"].to_list() == [vehicle.format(int(v) + first) for v in json_truth["id"]]
+    assert states["time_ns"].to_list() == json_truth["time_ns"].to_list()
+    assert (states["x_m"] - json_truth["x"] - 1.35 * json_truth["yaw"].cos()).abs().max() < 0.21
+    turn = (states["heading_rad"] - json_truth["yaw"]).to_numpy()
     assert np.abs(np.sin(turn)).max() < 1e-9
     assert np.cos(turn).min() > 1 - 1e-9
     derived = states["derived"].to_numpy()
     assert ((derived & 1) == 0).all()
     # A derived speed of vehicles that circle is the displacement along the heading.
-    assert (states["speed_mps"] - truth["v"]).abs().max() < (1e-9 if "speed" in told else 0.2)
+    assert (states["speed_mps"] - json_truth["v"]).abs().max() < (1e-9 if "speed" in told else 0.2)
     assert ((derived & 2) == (0 if "speed" in told else 2)).all()
     if "acceleration" in told:
-        assert (states["acceleration_mps2"] - truth["a"]).abs().max() < 1e-9
+        assert (states["acceleration_mps2"] - json_truth["a"]).abs().max() < 1e-9
         assert ((derived & 4) == 0).all()
     if "size" in told:
-        assert states["length_m"].to_list() == truth["length"].to_list()
-        assert states["width_m"].to_list() == truth["width"].to_list()
+        assert states["length_m"].to_list() == json_truth["length"].to_list()
+        assert states["width_m"].to_list() == json_truth["width"].to_list()
     else:
         assert states["length_m"].null_count() == states.height
 
 
-def test_positions_are_exact_where_the_size_is_known(shared_logs: Path, truth: pl.DataFrame) -> None:
+def test_positions_are_exact_where_the_size_is_known(shared_logs: Path, json_truth: pl.DataFrame) -> None:
     for name in ("ros2_odom", "ros1_odom", "osi_gt", "foxglove_scene"):
         states = read_log(shared_logs / f"formats/{name}.mcap").states
-        assert (states["x_m"] - truth["x"] - 1.35 * truth["yaw"].cos()).abs().max() < 1e-9, name
-        assert (states["y_m"] - truth["y"] - 1.35 * truth["yaw"].sin()).abs().max() < 1e-9, name
+        assert (states["x_m"] - json_truth["x"] - 1.35 * json_truth["yaw"].cos()).abs().max() < 1e-9, name
+        assert (states["y_m"] - json_truth["y"] - 1.35 * json_truth["yaw"].sin()).abs().max() < 1e-9, name
 
 
 def test_what_is_told_better_elsewhere_is_not_told_twice(shared_logs: Path) -> None:

@@ -373,27 +373,25 @@ def test_a_million_faults_make_a_few_lines() -> None:
     assert log.problems[-1].detail.startswith("199")
 
 
-def test_more_declarations_than_a_small_file_may_hold_are_told() -> None:
+def many_declarations(count: int, ids: int) -> bytes:
+    """A file of one chunk that declares channels, their ids used again and again, before its message."""
     declared = b"".join(
-        record(0x04, struct.pack("<HH", 1 + k % 60_000, 0) + text(f"/{k}") + text("json") + bytes(4))
-        for k in range(120_000)
+        record(0x04, struct.pack("<HH", 1 + k % ids, 0) + text(f"/{k}") + text("json") + bytes(4))
+        for k in range(count)
     )
-    log, messages = walk(
-        file_of(chunk(zstandard.compress(declared + MESSAGE), len(declared + MESSAGE), "zstd"))
-    )
+    content = declared + MESSAGE
+    return file_of(chunk(zstandard.compress(content), len(content), "zstd"))
+
+
+def test_more_declarations_than_a_small_file_may_hold_are_told() -> None:
+    log, messages = walk(many_declarations(120_000, 60_000))
     assert codes(log) >= {"too_many_definitions", "channel_conflict"}
     assert len(messages) == 1
     assert not log.complete
 
 
 def test_messages_of_a_declaration_that_is_not_held_are_not_given_to_the_one_before() -> None:
-    declared = b"".join(
-        record(0x04, struct.pack("<HH", 1 + k % 30_000, 0) + text(f"/{k}") + text("json") + bytes(4))
-        for k in range(90_001)
-    )
-    log, messages = walk(
-        file_of(chunk(zstandard.compress(declared + MESSAGE), len(declared + MESSAGE), "zstd"))
-    )
+    log, messages = walk(many_declarations(90_001, 30_000))
     assert codes(log) >= {"too_many_definitions", "unknown_channel"}
     assert messages == []
 

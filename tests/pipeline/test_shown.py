@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import re
-from collections.abc import Callable
 from dataclasses import fields, replace
 from typing import Any
 
@@ -14,6 +13,8 @@ import pytest
 import istc_replay
 from istc_replay.datatypes import Result
 from istc_replay.pipeline.shown import ShownResult, shown_result
+
+from ..support.results import renamed
 
 
 @pytest.fixture(scope="module")
@@ -80,7 +81,7 @@ def test_a_comparison_shows_what_differs(loaded: Result) -> None:
     assert "Nothing differs" in html(istc_replay.compare(loaded, loaded))
 
 
-def test_hostile_names_stay_text(loaded: Result, renamed: Callable[[Result, dict[str, str]], Result]) -> None:
+def test_hostile_names_stay_text(loaded: Result) -> None:
     nasty = "<script>alert(1)</script>\u202e\n" + "X" * 10_000
     hostile = renamed(loaded, {"car 1": nasty})
     shown = shown_result(replace(hostile, summary=hostile.summary | {"input": {"path": nasty}}))

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from istc_replay.config import TrajectoriesConfig
 from istc_replay.datatypes import (
     Corridor,
-    Dimensions,
     Guidance,
     Participant,
     Recording,
@@ -23,7 +22,8 @@ from istc_replay.datatypes import (
 )
 from istc_replay.trajectories.plan import TrajectoryOutcome, TrajectoryPlanner
 
-CAR = Dimensions(length_m=4.0, width_m=2.0, wheelbase_m=2.7, rear_axle_to_centre_m=1.35)
+from ..support.participants import CAR
+
 SPEED_MAX_MPS = 10.0
 
 

@@ -7,11 +7,11 @@ import pytest
 
 from istc_replay.bicycle import simulate
 from istc_replay.config import TrajectoriesConfig
-from istc_replay.datatypes import Dimensions
 from istc_replay.geometry import box_corners, shift_along
 from istc_replay.trajectories.walls import Grid, base_margins, excess, raised, walls_at
 
-CAR = Dimensions(4.0, 2.0, 2.7, 1.35)
+from ..support.participants import CAR
+
 GRID = Grid(units=2, per_unit=2, step_s=0.5)
 
 

@@ -11,35 +11,28 @@ from istc_replay.config import Config
 from istc_replay.corridors.seed.lattice import Lattice
 from istc_replay.corridors.seed.seeding import make_lattices
 from istc_replay.datatypes import (
-    Dimensions,
     Frame,
     Guidance,
     Obstacle,
     Participant,
-    Recording,
     Scenario,
-    StartState,
     Window,
     read_only,
 )
 from istc_replay.guidance.build import build_guidance
 
-CAR = Dimensions(4.0, 2.0, 2.7, 1.35)
+from ...support.participants import straight_on
+
 UNIT_S = 0.5
 
 
 def standing_driver(name: str, start: tuple[float, float, float], length_m: float, units: int) -> Participant:
     """A participant that drives straight on at 5 m/s and brakes at 2 m/s^2 to stand."""
-    x, y, heading = start
     times = np.linspace(0.0, units * UNIT_S, 10 * units + 1)
-    braking = np.clip(times - (length_m - 6.25) / 5.0, 0.0, 2.5)
-    driven = 5.0 * np.minimum(times, (length_m - 6.25) / 5.0) + 5.0 * braking - braking**2
-    poses = np.stack(
-        [x + driven * np.cos(heading), y + driven * np.sin(heading), np.full(len(times), heading)], axis=-1
-    )
-    speeds = np.gradient(driven, times)
-    recording = Recording(read_only(times), read_only(poses), read_only(np.round(speeds, 6)))
-    return Participant(name, CAR, 1.0, 0, units, StartState(x, y, heading, 5.0), recording)
+    cruising = (length_m - 6.25) / 5.0
+    braking = np.clip(times - cruising, 0.0, 2.5)
+    way = 5.0 * np.minimum(times, cruising) + 5.0 * braking - braking**2
+    return straight_on(name, start, times, way, np.round(np.gradient(way, times), 6), units)
 
 
 @pytest.fixture

@@ -6,10 +6,10 @@ import numpy as np
 
 from istc_replay.corridors.blocks import car_box_m
 from istc_replay.corridors.seed.band import drawn_clear
-from istc_replay.datatypes import Dimensions
 from istc_replay.geometry import shift_along
 
-CAR = Dimensions(4.0, 2.0, 2.7, 1.35)
+from ...support.participants import CAR
+
 STRAIGHT = np.column_stack([np.linspace(-20.0, 20.0, 161), np.zeros((161, 2))])
 
 

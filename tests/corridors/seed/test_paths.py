@@ -8,9 +8,9 @@ from typing import Any
 import numpy as np
 
 from istc_replay.corridors.seed.paths import along_others, candidate_paths, detours
-from istc_replay.datatypes import Dimensions, read_only
+from istc_replay.datatypes import read_only
 
-CAR = Dimensions(4.0, 2.0, 2.7, 1.35)
+from ...support.participants import CAR
 
 
 def test_every_candidate_runs_from_start_to_goal_and_bends_no_more_than_a_car_can(meeting: Any) -> None:
