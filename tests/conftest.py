@@ -18,6 +18,18 @@ from .support.exact import exact_certificates, exact_log, exact_plan
 from .support.results import CONFIG_TOML, repeated_bytes
 from .support.summary import summary_of
 
+#: Fixtures too dear to be made by each of several workers.
+_DEAR = ("replayed", "done", "table_iii")
+
+
+@pytest.hookimpl(tryfirst=True)
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Give the tests of a dear fixture to one worker (`pytest -n 2 --dist loadgroup`)."""
+    for item in items:
+        for name in _DEAR:
+            if name in getattr(item, "fixturenames", ()):
+                item.add_marker(pytest.mark.xdist_group(name))
+
 
 @pytest.fixture(scope="session")
 def shared_logs() -> Path:

@@ -5,12 +5,11 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-Command = Callable[..., "subprocess.CompletedProcess[str]"]
+from ..support.commands import FAST, SAMPLES, TURN_FIRST, Command
 
 
 @pytest.fixture(scope="session")
@@ -32,3 +31,22 @@ def call() -> Command:
         )
 
     return run
+
+
+@pytest.fixture(scope="session")
+def replayed(
+    call: Command, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[subprocess.CompletedProcess[str], Path]:
+    """Every sample log run in one call, and the folder of the results."""
+    output = tmp_path_factory.mktemp("results")
+    return call("run", *SAMPLES, "-o", output), output
+
+
+@pytest.fixture(scope="session")
+def result(call: Command, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The folder of one result, run fast; not to be changed."""
+    folder = tmp_path_factory.mktemp("result")
+    (folder / "fast.toml").write_text(FAST)
+    done = call("run", TURN_FIRST, "-c", folder / "fast.toml", "-o", folder)
+    assert done.returncode == 0, done.stderr
+    return folder / TURN_FIRST.stem

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +10,8 @@ import pytest
 
 from istc_replay.bench import scaling_names
 
-Command = Callable[..., Any]
+from ..support.commands import Command
+
 NAMES = ["intersection_turn_first", "intersection_straight_first"]
 
 

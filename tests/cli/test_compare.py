@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import json
-import subprocess
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -12,8 +10,9 @@ import pytest
 from istc_replay.config import parse_config
 from istc_replay.pipeline.replay import replay_log
 
+from ..support.commands import Command
+
 ROOT = Path(__file__).resolve().parents[2]
-Command = Callable[..., "subprocess.CompletedProcess[str]"]
 
 
 @pytest.fixture(scope="module")

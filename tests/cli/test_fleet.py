@@ -7,12 +7,12 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable
 from pathlib import Path
 
 import pytest
 
-Command = Callable[..., "subprocess.CompletedProcess[str]"]
+from ..support.commands import Command
+
 LOG = Path(__file__).resolve().parents[2] / "sample_logs" / "intersection_osi.mcap"
 
 
