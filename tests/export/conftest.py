@@ -14,6 +14,9 @@ import pytest
 
 from istc_replay.config import ViewConfig
 from istc_replay.datatypes import Result
+from istc_replay.export import report
+from istc_replay.export.report import report_html
+from istc_replay.export.report.markup import Html
 
 from ..support.results import renamed
 
@@ -146,3 +149,21 @@ def crowd(synthetic_result: Result) -> Result:
     vehicles = [vehicle for copy in copies for vehicle in copy.summary["windows"][0]["vehicles"]]
     summary = synthetic_result.summary | {"windows": [window | {"vehicles": vehicles}]}
     return replace(synthetic_result, **joined, summary=summary)
+
+
+@pytest.fixture
+def unpictured(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Reports without pictures, for tests that read the words alone."""
+    monkeypatch.setattr(report, "window_pictures", lambda _scene: Html(""))
+
+
+@pytest.fixture(scope="session")
+def document(synthetic_result: Result) -> str:
+    """The report of the synthetic result."""
+    return report_html(synthetic_result, "synthetic.mcap")
+
+
+@pytest.fixture(scope="session")
+def nasty_document(hostile_result: Result) -> str:
+    """The report of a result whose every string is hostile."""
+    return report_html(hostile_result, "</title><script>alert(4)</script>")

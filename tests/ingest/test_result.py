@@ -1,23 +1,16 @@
-"""A result is read back as it was written, whole or not at all."""
+"""A result is read back as it was written."""
 
 from __future__ import annotations
 
 import dataclasses
-import io
-import json
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 import polars as pl
-import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from mcap.writer import Writer
-from mcap_protobuf.schema import build_file_descriptor_set
 from polars.testing import assert_frame_equal
 
-from istc_replay import messages
 from istc_replay.datatypes import (
     Certificate,
     Corridor,
@@ -40,9 +33,8 @@ from istc_replay.datatypes import (
     WindowStatus,
     read_only,
 )
-from istc_replay.errors import LogError
-from istc_replay.export.result_mcap import result_bytes, solve_times
-from istc_replay.ingest.result import is_result, load_result_folder, read_result, repeatable_summary
+from istc_replay.export.result_mcap import result_bytes
+from istc_replay.ingest.result import read_result, repeatable_summary
 from istc_replay.states import (
     CERTIFICATES_SCHEMA,
     CORRIDORS_SCHEMA,
@@ -75,9 +67,6 @@ def recorded_of(states: pl.DataFrame) -> pl.DataFrame:
     # Where a message stands is told of the result, not of the log.
     known = [n for n in RESULT_STATES_SCHEMA.names() if n in states.columns and n not in PLACES]
     return states.sort("vehicle_id", "time_ns", maintain_order=True).select(known)
-
-
-# --- write, then read ------------------------------------------------------------------------
 
 
 def test_the_tables_have_their_schemas(synthetic_result: Result) -> None:
@@ -275,225 +264,6 @@ def test_states_are_sorted_by_source_window_vehicle_and_time(synthetic_result: R
     assert keys == sorted(keys)
 
 
-# --- windows of recorded states --------------------------------------------------------------
-
-
-def window_plan(index: int, start_s: int, end_s: int) -> WindowPlan:
-    window = Window(index, start_s * S, end_s * S, 1.0, end_s - start_s, Frame())
-    return WindowPlan(Scenario(window, (), (), None), WindowStatus.NOTHING_TO_PLAN)
-
-
-def test_a_recorded_state_belongs_to_the_latest_window_around_it() -> None:
-    rows = [("a", t * S, 0, 0, 0.0, 0.0, *[None] * 10, "vehicle", "/t", 0, 0) for t in range(10)]
-    states = pl.DataFrame(rows, schema=STATES_SCHEMA, orient="row")
-    log = Log("x", "0", True, 0, 0, 0, 0, None, None, (), states, StaticScene(), ())
-    # Two windows meet at 3 s; after 5 s there is none until 7 s.
-    plans = [window_plan(0, 1, 3), window_plan(1, 3, 5), window_plan(2, 7, 8)]
-    assert read_result(write(log, plans)).states["window"].to_list() == [
-        None, 0, 0, 1, 1, 1, None, 2, 2, None,
-    ]  # fmt: skip
-
-
-# --- what is not a result --------------------------------------------------------------------
-
-
-def test_a_recorded_log_is_not_a_result() -> None:
-    path = Path(__file__).resolve().parents[2] / "sample_logs" / "intersection_turn_first.mcap"
-    if not path.exists():
-        pytest.skip("sample_logs/intersection_turn_first.mcap is not there")
-    with pytest.raises(
-        LogError, match=r"turn_first\.mcap: not a result: it lacks the metadata istc\.provenance"
-    ):
-        read_result(path)
-
-
-def test_what_a_result_lacks_is_named(synthetic_bytes: bytes) -> None:
-    stream = io.BytesIO()
-    writer = Writer(stream)
-    writer.start()
-    writer.add_metadata("istc.provenance", {})
-    writer.add_attachment(0, 0, "config.toml", "application/toml", b"")
-    writer.finish()
-    lacks = "lacks the attachment summary.json, the topic /istc/static of istc.v1.Scene; make it again"
-    with pytest.raises(LogError, match=lacks):
-        read_result(stream.getvalue())
-
-
-def test_a_missing_file_is_told(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match="no such file"):
-        read_result(tmp_path / "result.mcap")
-    with pytest.raises(LogError, match="no such file"):
-        load_result_folder(tmp_path)
-
-
-def one_message(topic: str, kind: str, data: bytes) -> bytes:
-    stream = io.BytesIO()
-    writer = Writer(stream)
-    writer.start()
-    descriptors = build_file_descriptor_set(messages.message(kind)).SerializeToString()
-    schema = writer.register_schema(f"istc.v1.{kind}", "protobuf", descriptors)
-    writer.add_message(writer.register_channel(topic, "protobuf", schema), 0, data, 0)
-    writer.finish()
-    return stream.getvalue()
-
-
-def test_a_topic_of_another_schema_is_damage_not_silence() -> None:
-    with pytest.raises(
-        LogError, match=r"'/istc/corridors'.*'istc\.v1\.Scene', not protobuf of istc\.v1\.Corridors"
-    ):
-        read_result(one_message("/istc/corridors", "Scene", b""))
-
-
-@pytest.mark.parametrize(
-    ("topic", "kind", "data", "told"),
-    [
-        ("/istc/static", "Scene", b"\xff\xff", "not a message of istc.v1.Scene"),
-        ("/istc/planned/a", "VehicleState", b"", "a planned state without its window"),
-        (
-            "/istc/guidance/a",
-            "Guidance",
-            messages.message("Guidance")(x_m=[1.0]).SerializeToString(),
-            "a guidance of 0 times whose places differ",
-        ),
-        (
-            "/istc/corridors",
-            "Corridors",
-            messages.message("Corridors")(corridors=[{"cubes": [{}], "pivots": [{}]}]).SerializeToString(),
-            "a corridor of 1 cubes, 1 pivotal and 0 reference points",
-        ),
-    ],
-)
-def test_a_message_that_breaks_its_rules_is_damage(topic: str, kind: str, data: bytes, told: str) -> None:
-    with pytest.raises(LogError, match=f"damaged result: .*{told}") as caught:
-        read_result(one_message(topic, kind, data))
-    assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize(
-    ("name", "data", "told"),
-    [
-        ("summary.json", b"[1]", "not a JSON object"),
-        ("summary.json", b"[" * 100_000, "not a JSON object"),
-        (
-            "summary.json",
-            b'{"schema": "istc-replay.summary.v2"}',
-            "this version reads istc-replay.summary.v1",
-        ),
-        ("config.toml", b"\xff", "config.toml is not UTF-8"),
-    ],
-)
-def test_attachments_that_cannot_be_used_are_told(name: str, data: bytes, told: str) -> None:
-    stream = io.BytesIO()
-    writer = Writer(stream)
-    writer.start()
-    writer.add_metadata("istc.provenance", {})
-    schema = writer.register_schema("istc.v1.Scene", "protobuf", b"")
-    writer.add_message(writer.register_channel("/istc/static", "protobuf", schema), 0, b"", 0)
-    for attached, usual in (("config.toml", b""), ("summary.json", b"{}")):
-        writer.add_attachment(0, 0, attached, "text/plain", data if attached == name else usual)
-    writer.finish()
-    with pytest.raises(LogError, match=told):
-        read_result(stream.getvalue())
-
-
-# --- damage ----------------------------------------------------------------------------------
-
-
-def tables(result: Result) -> list[Any]:
-    return [result.states, result.corridors, result.obstacles, result.solves, result.certificates]
-
-
-def test_no_truncated_result_is_read(synthetic_bytes: bytes) -> None:
-    for size in range(0, len(synthetic_bytes), 997):
-        with pytest.raises(LogError):
-            read_result(synthetic_bytes[:size])
-
-
-def test_the_damage_is_named(synthetic_bytes: bytes) -> None:
-    with pytest.raises(LogError, match="damaged result: truncated at byte"):
-        read_result(synthetic_bytes[:-20])
-
-
-def test_a_changed_byte_is_told_or_changes_nothing(synthetic_bytes: bytes, synthetic_result: Result) -> None:
-    for position in range(0, len(synthetic_bytes), 509):
-        changed = bytearray(synthetic_bytes)
-        changed[position] ^= 0x5A
-        try:
-            result = read_result(bytes(changed))
-        except LogError as error:
-            assert "\n" not in str(error)  # noqa: PT017
-            continue
-        for one, two in zip(tables(result), tables(synthetic_result), strict=True):
-            assert_frame_equal(one, two)
-        assert (result.summary, result.config_toml) == (
-            synthetic_result.summary,
-            synthetic_result.config_toml,
-        )
-
-
-def test_two_results_in_one_file_are_refused(synthetic_bytes: bytes) -> None:
-    with pytest.raises(LogError, match="more than one result in one file"):
-        read_result(synthetic_bytes + synthetic_bytes)
-
-
-# --- the folder ------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def folder(
-    tmp_path: Path, synthetic_plan: Plan, synthetic_bytes: bytes, synthetic_summary: dict[str, Any]
-) -> Path:
-    """A result's folder as run writes it."""
-    (tmp_path / "result.mcap").write_bytes(synthetic_bytes)
-    summary = {**synthetic_summary, "solves": solve_times(synthetic_plan[1][0])}
-    (tmp_path / "summary.json").write_text(json.dumps(summary))
-    return tmp_path
-
-
-@pytest.mark.parametrize("name", ["", "result.mcap"])
-def test_the_summary_beside_a_result_lends_its_times(folder: Path, name: str) -> None:
-    result = load_result_folder(folder / name)
-    assert result.path == str(folder / "result.mcap")
-    assert result.solves["wall_s"].to_list() == [0.05, 0.9, 0.02, 0.02, 0.02]
-    assert result.summary["totals"]["cpu_s"] == 1.5
-
-
-@pytest.mark.parametrize(
-    "foreign", ['{"schema": "istc-replay.summary.v1"}', "no json", "[]", "[" * 100_000, "\udcff"]
-)
-def test_a_summary_of_something_else_is_left_alone(folder: Path, foreign: str) -> None:
-    (folder / "summary.json").write_bytes(foreign.encode("utf-8", "surrogateescape"))
-    result = load_result_folder(folder)
-    assert result.solves["wall_s"].null_count() == 5
-    assert "stages" not in result.summary
-    assert result.summary["totals"]["windows"] == 1
-
-
-def test_a_summary_of_another_run_is_left_alone(folder: Path) -> None:
-    summary = json.loads((folder / "summary.json").read_text())
-    (folder / "summary.json").write_text(json.dumps({**summary, "config_sha256": "2" * 64}))
-    assert load_result_folder(folder).solves["wall_s"].null_count() == 5
-
-
-@pytest.mark.parametrize("times", [[], [1.0] * 5, "x", [{"wall_s": "soon"}] * 5])
-def test_times_that_do_not_fit_the_solves_are_not_used(folder: Path, times: Any) -> None:
-    summary = json.loads((folder / "summary.json").read_text())
-    (folder / "summary.json").write_text(json.dumps({**summary, "solves": times}))
-    assert load_result_folder(folder).solves["wall_s"].null_count() == 5
-
-
-def test_a_result_without_a_summary_beside_it_is_read(folder: Path, synthetic_result: Result) -> None:
-    (folder / "summary.json").unlink()
-    assert_frame_equal(load_result_folder(folder).states, synthetic_result.states)
-
-
-def test_a_result_is_told_from_a_log(folder: Path) -> None:
-    (folder / "log.mcap").write_bytes(one_message("/scene", "Scene", b""))
-    assert is_result(folder)
-    assert is_result(folder / "result.mcap")
-    assert not is_result(folder / "log.mcap")
-
-
 def test_findings_come_back_exactly(synthetic_plan: Plan) -> None:
     pair, nan, inf = ["a", "b"], float("nan"), float("inf")
     rows = [
@@ -542,3 +312,19 @@ def test_findings_come_back_exactly(synthetic_plan: Plan) -> None:
     findings = pl.DataFrame(rows, schema=FINDINGS_SCHEMA, orient="row")
     read = read_result(write(synthetic_plan[0], findings=findings)).findings
     assert_frame_equal(read.sort("finding_id"), findings, check_exact=True)
+
+
+def window_plan(index: int, start_s: int, end_s: int) -> WindowPlan:
+    window = Window(index, start_s * S, end_s * S, 1.0, end_s - start_s, Frame())
+    return WindowPlan(Scenario(window, (), (), None), WindowStatus.NOTHING_TO_PLAN)
+
+
+def test_a_recorded_state_belongs_to_the_latest_window_around_it() -> None:
+    rows = [("a", t * S, 0, 0, 0.0, 0.0, *[None] * 10, "vehicle", "/t", 0, 0) for t in range(10)]
+    states = pl.DataFrame(rows, schema=STATES_SCHEMA, orient="row")
+    log = Log("x", "0", True, 0, 0, 0, 0, None, None, (), states, StaticScene(), ())
+    # Two windows meet at 3 s; after 5 s there is none until 7 s.
+    plans = [window_plan(0, 1, 3), window_plan(1, 3, 5), window_plan(2, 7, 8)]
+    assert read_result(write(log, plans)).states["window"].to_list() == [
+        None, 0, 0, 1, 1, 1, None, 2, 2, None,
+    ]  # fmt: skip

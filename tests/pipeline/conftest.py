@@ -1,4 +1,4 @@
-"""Logs with all that MCAP can hold, and readers of MCAP that are not ours."""
+"""Logs with all that MCAP can hold, readers of MCAP that are not ours, and conversions read back."""
 
 from __future__ import annotations
 
@@ -13,11 +13,16 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+import polars as pl
 import pytest
 from mcap.reader import make_reader
 from mcap.stream_reader import StreamReader
 from mcap.writer import CompressionType, Writer
 from rosbags.rosbag2.storage_mcap import McapReader as RosbagsReader
+
+from istc_replay.config import parse_config
+from istc_replay.ingest.log import read_log
+from istc_replay.pipeline.convert import Converted, convert_recording
 
 T0_NS = 1_700_000_000_000_000_000
 DEFINITION = b"string text\n"
@@ -195,3 +200,20 @@ def foreign_reader(request: pytest.FixtureRequest) -> Callable[[Path], list[Row]
         pytest.skip("node does not find @mcap/core and @mcap/support; NODE_PATH can name their folder")
     readers = {"mcap": _by_mcap, "rerun": _by_rerun, "rosbags": _by_rosbags, "node": _by_node}
     return readers[request.param]
+
+
+@pytest.fixture
+def convert(tmp_path: Path) -> Callable[..., tuple[Converted, pl.DataFrame]]:
+    """Convert a file, or a text under this name, and read the log."""
+
+    def run(
+        source: Path | str, text: str | bytes = "", config: str = "", types: tuple[Path, ...] = ()
+    ) -> tuple[Converted, pl.DataFrame]:
+        path = source if isinstance(source, Path) else tmp_path / source
+        if not isinstance(source, Path):
+            path.write_bytes(text.encode() if isinstance(text, str) else text)
+        out = tmp_path / "out.mcap"
+        done = convert_recording(path, out, parse_config(config), types)
+        return done, read_log(out).states
+
+    return run

@@ -13,16 +13,7 @@ from istc_replay.datatypes import Frame, MapBounds, Result, Verdict
 from istc_replay.safety.certificate import overall
 
 from ..support.bicycles import random_car, stacked, straight_car
-from ..support.judged import (
-    FAIL,
-    INCONCLUSIVE,
-    NOT_APPLICABLE,
-    PASS,
-    cube,
-    edited,
-    failed,
-    judge,
-)
+from ..support.judged import FAIL, INCONCLUSIVE, NOT_APPLICABLE, PASS, cube, edited, failed, judge
 from ..support.written import Scene
 
 

@@ -12,18 +12,7 @@ from istc_replay.config import parse_config
 from istc_replay.datatypes import Result
 
 from ..support.bicycles import DENSE, Car, straight_car
-from ..support.judged import (
-    FAIL,
-    INCONCLUSIVE,
-    NS,
-    OF_MOTION,
-    PASS,
-    edited,
-    failed,
-    judge,
-    knot,
-    without,
-)
+from ..support.judged import FAIL, INCONCLUSIVE, NS, OF_MOTION, PASS, edited, failed, judge, knot, without
 from ..support.written import Scene
 
 

@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import io
 from dataclasses import replace
 from typing import Any
 
 import polars as pl
+from mcap.writer import Writer
+from mcap_protobuf.schema import build_file_descriptor_set
 
+from istc_replay import messages
 from istc_replay.datatypes import Certificate, Log, Result, WindowPlan
 
 CONFIG_TOML = "[window]\nunit_s = 1.0\n"
@@ -56,3 +60,31 @@ def repeated_bytes(
         tables.append(own.with_columns(pl.col("time_ns") + k * span_ns))
     long = replace(log, states=pl.concat(tables).sort("vehicle_id", "time_ns"))
     return result_bytes(long, plans, checks, summary | {"windows": windows}, CONFIG_TOML, {})
+
+
+def one_message(topic: str, kind: str, data: bytes) -> bytes:
+    """A file with one message of istc.v1."""
+    stream = io.BytesIO()
+    writer = Writer(stream)
+    writer.start()
+    descriptors = build_file_descriptor_set(messages.message(kind)).SerializeToString()
+    schema = writer.register_schema(f"istc.v1.{kind}", "protobuf", descriptors)
+    writer.add_message(writer.register_channel(topic, "protobuf", schema), 0, data, 0)
+    writer.finish()
+    return stream.getvalue()
+
+
+def with_window(result: Result, **changes: Any) -> Result:
+    """The same result with another first window in its summary."""
+    first, *others = result.summary["windows"]
+    return replace(result, summary=result.summary | {"windows": [first | changes, *others]})
+
+
+def proven(result: Result) -> Result:
+    """The same result, all of whose checks pass."""
+    checks = result.certificates.head(2).with_columns(
+        pl.lit("pass").alias("verdict"),
+        pl.lit(0.4).alias("margin"),
+        pl.Series("check", ["cubes_disjoint", "separation"]),
+    )
+    return replace(result, certificates=checks)

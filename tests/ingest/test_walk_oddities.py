@@ -1,0 +1,92 @@
+"""The walk over records that lie, repeat or do not belong."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable
+from typing import Any
+
+import zstandard
+
+from ..support.mcap_bytes import CHANNEL, MESSAGE, chunk, codes, file_of, make, record, text, top_level, walk
+
+
+def test_records_that_run_past_their_chunk_end_it_after_what_is_whole() -> None:
+    content = CHANNEL + MESSAGE + struct.pack("<BQ", 5, 10**6) + b"short"
+    log, messages = walk(file_of(chunk(content, len(content), "")))
+    assert len(messages) == 1
+    assert codes(log) == {"chunk_damaged"}
+
+
+def test_private_and_unknown_records_are_passed_over() -> None:
+    log, messages = walk(file_of(CHANNEL, record(0x90, b"private"), record(0x40, b"of the future"), MESSAGE))
+    assert len(messages) == 1
+    assert codes(log) == {"unknown_record"}
+    assert log.complete
+
+
+def test_a_channel_declared_twice_holds_from_where_it_stands() -> None:
+    other = CHANNEL.replace(b"/x", b"/y")
+    log, messages = walk(file_of(CHANNEL, MESSAGE, CHANNEL, MESSAGE, other, MESSAGE))
+    assert [message[0] for message in messages] == ["/x", "/x", "/y"]
+    assert codes(log) == {"channel_conflict"}
+    assert {channel.topic: count for channel, count in log.counts.items()} == {"/x": 2, "/y": 1}
+
+
+def test_missing_schemas_and_bad_text_are_told() -> None:
+    channel = record(0x04, struct.pack("<HHI", 1, 5, 3) + b"/\xff\xff" + text("json") + bytes(4))
+    log, messages = walk(file_of(channel, MESSAGE))
+    assert messages[0][0] == "/��"
+    assert codes(log) == {"missing_schema", "not_utf8"}
+
+
+def test_one_damaged_magic_does_not_hide_the_log(write_log: Callable[..., bytes], topic: Any) -> None:
+    data = make("", write_log, topic)
+    expected = walk(data)[1]
+    for damaged in (b"?" + data[1:], data[:-1] + b"?"):
+        log, messages = walk(damaged)
+        assert messages == expected
+        assert "no_magic" in codes(log)
+
+
+def test_statistics_that_state_more_than_is_there_tell_of_a_loss(
+    write_log: Callable[..., bytes], topic: Any
+) -> None:
+    data = bytearray(make("no", write_log, topic))
+    records = top_level(bytes(data))
+    first = next(index for index, (opcode, _) in enumerate(records) if opcode == 0x05)
+    data[records[first - 1][1]] = 0x90  # the first message becomes a private record
+    log, messages = walk(bytes(data))
+    assert len(messages) == 23
+    assert codes(log) == {"statistics"}
+    assert not log.complete
+
+
+def test_a_million_faults_make_a_few_lines() -> None:
+    unknown = MESSAGE.replace(struct.pack("<H", 1), struct.pack("<H", 9), 1)
+    log, _ = walk(file_of(unknown * 20_000))
+    assert len(log.problems) < 10
+    assert log.problems[-1].detail.startswith("199")
+
+
+def many_declarations(count: int, ids: int) -> bytes:
+    """A file of one chunk that declares channels, their ids used again and again, before its message."""
+    declared = b"".join(
+        record(0x04, struct.pack("<HH", 1 + k % ids, 0) + text(f"/{k}") + text("json") + bytes(4))
+        for k in range(count)
+    )
+    content = declared + MESSAGE
+    return file_of(chunk(zstandard.compress(content), len(content), "zstd"))
+
+
+def test_more_declarations_than_a_small_file_may_hold_are_told() -> None:
+    log, messages = walk(many_declarations(120_000, 60_000))
+    assert codes(log) >= {"too_many_definitions", "channel_conflict"}
+    assert len(messages) == 1
+    assert not log.complete
+
+
+def test_messages_of_a_declaration_that_is_not_held_are_not_given_to_the_one_before() -> None:
+    log, messages = walk(many_declarations(90_001, 30_000))
+    assert codes(log) >= {"too_many_definitions", "unknown_channel"}
+    assert messages == []
