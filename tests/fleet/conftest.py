@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import importlib.util
 import os
-import sys
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from contextlib import suppress
 from pathlib import Path
 from types import ModuleType
@@ -21,6 +19,8 @@ from istc_replay.fleet.inputs import find_logs
 from istc_replay.fleet.manifest import read_manifest
 from istc_replay.fleet.telling import Summary
 
+from ..support.scripts import load_script
+
 ROOT = Path(__file__).resolve().parents[2]
 FAST = '[corridors]\nmode = "fast"\n'
 FAULTS = Path(__file__).parent / "faults"
@@ -28,19 +28,10 @@ FAULTS = Path(__file__).parent / "faults"
 RunFleet = Callable[..., Summary]
 
 
-def _script(name: str) -> ModuleType:
-    spec = importlib.util.spec_from_file_location(name, ROOT / "scripts" / f"{name}.py")
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
 @pytest.fixture(scope="session")
 def fleet_logs() -> ModuleType:
     """The generator of logs."""
-    return _script("fleet_logs")
+    return load_script("fleet_logs")
 
 
 @pytest.fixture(scope="session")
@@ -79,12 +70,10 @@ def done(run_fleet: RunFleet, four_logs: Path, tmp_path_factory: pytest.TempPath
 
 
 @pytest.fixture
-def with_faults(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def with_faults(monkeypatch: pytest.MonkeyPatch) -> None:
     """Processes that do jobs fail at logs named crash*, hang*, hungry* and abort*."""
     known = os.environ.get("PYTHONPATH")
     monkeypatch.setenv("PYTHONPATH", os.pathsep.join([str(FAULTS), *([known] if known else [])]))
-    yield
-    assert sys.path
 
 
 def outputs(folder: Path) -> dict[str, bytes]:

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
 from pathlib import Path
-from types import ModuleType
 from typing import Any
 
 import pytest
@@ -14,22 +11,11 @@ from istc_replay.config import parse_config
 from istc_replay.errors import LogError
 from istc_replay.ingest.log import read_log
 
+from ..support.scripts import load_script
+
 #: Kinds that take a second each to make and read; `scripts/damage-table` measures all of them.
 SLOW = ("million", "000 ", "GiB", "small")
-
-
-def _table() -> ModuleType:
-    path = Path(__file__).resolve().parents[2] / "scripts/damage_table.py"
-    spec = importlib.util.spec_from_file_location("damage_table", path)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    sys.modules["damage_table"] = module
-    spec.loader.exec_module(module)
-    return module
-
-
-TABLE = _table()
+KINDS, config_of = load_script("damage_kinds").KINDS, load_script("damage_table").config_of
 
 
 @pytest.mark.parametrize(
@@ -38,7 +24,7 @@ TABLE = _table()
         pytest.param(
             kind, id=kind.name, marks=pytest.mark.slow if any(word in kind.name for word in SLOW) else ()
         )
-        for kind in TABLE.KINDS
+        for kind in KINDS
     ],
 )
 def test_damage_costs_only_what_it_hit_and_is_told(kind: Any, tmp_path: Path) -> None:
@@ -49,7 +35,7 @@ def test_damage_costs_only_what_it_hit_and_is_told(kind: Any, tmp_path: Path) ->
             read_log(path)
         assert "\n" not in str(error.value)
         return
-    log = read_log(path, parse_config(TABLE.config_of(kind.fields)))
+    log = read_log(path, parse_config(config_of(kind.fields)))
     assert kind.codes <= {problem.code for problem in log.problems}
     if kind.intact is not None:
         assert log.messages == kind.intact
