@@ -41,6 +41,15 @@ def shared_logs() -> Path:
 
 
 @pytest.fixture(scope="session")
+def shared_scenarios() -> Path:
+    """The reference scenes beside the repository."""
+    folder = Path(__file__).resolve().parents[1] / "../shared/scenarios"
+    if not folder.is_dir():
+        pytest.skip("the reference scenes are not beside this repository")
+    return folder
+
+
+@pytest.fixture(scope="session")
 def synthetic_plan() -> tuple[Log, list[WindowPlan]]:
     """A log of three cars over 6 s and the plan of its one window (see `support.exact`)."""
     return exact_log(), [exact_plan()]

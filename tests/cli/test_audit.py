@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import subprocess
 from pathlib import Path
 
 import polars as pl
@@ -33,9 +34,9 @@ def test_audit_of_a_log_with_nothing_wrong_finds_nothing(call: Command, tmp_path
 
 
 def test_audit_of_a_result_judges_its_recording_and_certifies_its_plans_anew(
-    call: Command, result: Path, tmp_path: Path
+    call: Command, replayed: tuple[subprocess.CompletedProcess[str], Path], tmp_path: Path
 ) -> None:
-    done = call("audit", result, "-o", tmp_path, "--format", "json,parquet")
+    done = call("audit", replayed[1] / TURN_FIRST.stem, "-o", tmp_path, "--format", "json,parquet")
     assert done.returncode == 1, done.stderr  # its vehicles collide as recorded
     assert "cubes_disjoint" in done.stdout
     told = json.loads((tmp_path / "audit.json").read_text())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 import json
 import math
-from functools import cache
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,6 @@ from istc_replay.guidance.routes import Task, find_path, find_paths
 
 from ..support.participants import CAR
 
-SHARED = Path(__file__).resolve().parents[2] / "../shared/scenarios"
 DENSE = [f"dense_{count}{kind}" for count in (4, 6, 8) for kind in ("", "_obstacles", "_row")]
 FIELD = MapBounds(0.0, 50.0, 0.0, 38.0)
 LEAST_RADIUS_M = 2.7 / math.tan(0.6)
@@ -206,12 +205,10 @@ def test_coordinated_vehicles_take_different_openings_at_the_same_time() -> None
     assert crossings["independent"][0] == pytest.approx(first, abs=1e-9)
 
 
-@cache
-def scene(name: str) -> dict[str, Any]:
-    file = SHARED / f"{name}.json"
-    if not file.exists():
-        pytest.skip("the reference scenes are not beside the repository")
-    return dict(json.loads(file.read_text(encoding="utf-8")))
+@pytest.fixture
+def scene(shared_scenarios: Path) -> Callable[[str], dict[str, Any]]:
+    """A function that reads a reference scene by its name."""
+    return lambda name: dict(json.loads((shared_scenarios / f"{name}.json").read_text(encoding="utf-8")))
 
 
 def pose(values: dict[str, float]) -> Pose:
@@ -219,7 +216,9 @@ def pose(values: dict[str, float]) -> Pose:
 
 
 @pytest.mark.parametrize("kind", ["", "_obstacles", "_row"])
-def test_the_dense_crossings_are_driven_and_not_longer_than_the_peers(kind: str) -> None:
+def test_the_dense_crossings_are_driven_and_not_longer_than_the_peers(
+    kind: str, scene: Callable[[str], dict[str, Any]]
+) -> None:
     # The scenes of 4 and 6 vehicles are the first ones of the scene of 8.
     values = scene(f"dense_8{kind}")
     peers = {row["name"]: row["length_m"] for row in scene("peer_clcbs")["rows"]}
@@ -242,7 +241,7 @@ def test_the_dense_crossings_are_driven_and_not_longer_than_the_peers(kind: str)
     ],
 )
 def test_open_benchmark_scenes_are_solved_but_for_goals_that_need_reversing(
-    name: str, unreachable: list[str]
+    name: str, unreachable: list[str], scene: Callable[[str], dict[str, Any]]
 ) -> None:
     values = scene(f"clcbs/{name}")
     car = Dimensions(3.0, 2.0, 1.95, 0.5)

@@ -22,7 +22,6 @@ from istc_replay.samples.sceneform import parse_scene
 from istc_replay.samples.scenes import SAMPLES, find_sample, packaged_scene, record, sample_names
 from istc_replay.states import STATES_SCHEMA
 
-SHARED = Path(__file__).resolve().parents[2] / "../shared/scenarios"
 NAMES = ("intersection_turn_first", "dense_4")
 
 
@@ -260,11 +259,13 @@ def test_a_dense_crossing_is_driven_clear_of_its_blocks_and_within_its_map(name:
             assert all(box.distance(block) >= 0.29 for block in blocks)
 
 
-@pytest.mark.parametrize("name", [name for name in sample_names() if name.startswith("dense")])
-def test_packaged_scenes_are_those_of_the_reference_data(name: str) -> None:
-    file = SHARED / f"{name}.json"
-    if not file.exists():
-        pytest.skip("the reference scenes are not beside the repository")
+@pytest.mark.parametrize("kind", ["", "_obstacles", "_row"])
+@pytest.mark.parametrize("vehicles", [4, 6, 8])
+def test_packaged_scenes_are_those_of_the_reference_data(
+    vehicles: int, kind: str, shared_scenarios: Path
+) -> None:
+    name = f"dense_{vehicles}{kind}"
+    file = shared_scenarios / f"{name}.json"
     assert packaged_scene(name) == parse_scene(file.read_text(encoding="utf-8"))
 
 
