@@ -8,6 +8,8 @@ import numpy as np
 import polars as pl
 from numpy.typing import ArrayLike, NDArray
 
+from istc_replay.safety.log_audit import Audit
+
 from .tracks import NS, track
 
 Array = NDArray[np.float64]
@@ -80,3 +82,8 @@ def near_miss() -> list[pl.DataFrame]:
         recorded("ann", T, x_m=10 * T - 660, y_m=100.0, speed_mps=10.0),
         north("bob", 10.0, 100 - 60 - 12.4, x_m=-600.0),
     ]
+
+
+def findings(audit: Audit) -> list[tuple[str, str | None, list[str]]]:
+    """Rule, severity and vehicles of what an audit found."""
+    return audit.findings.select("rule", "severity", "vehicles").rows()
