@@ -9,6 +9,7 @@ makes it dear stays unsolved until its turn comes.
 from __future__ import annotations
 
 import heapq
+import math
 from dataclasses import dataclass, field
 from itertools import count
 from typing import TYPE_CHECKING, NamedTuple
@@ -20,6 +21,7 @@ from istc_replay.corridors.pivot_qp import Choice, Choices, PivotQp, PivotSoluti
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from istc_replay.corridors.option_ends import OptionEnds
     from istc_replay.corridors.problem import CorridorProblem, IntArray, Separations
     from istc_replay.datatypes import FloatArray
 
@@ -74,6 +76,8 @@ class Tree:
     _members: tuple[int, ...] = field(init=False)
     own: IntArray = field(init=False)
     table: Separations = field(init=False)
+    _ends: OptionEnds = field(init=False)
+    _prices: list[list[float]] = field(init=False)
 
     def __post_init__(self) -> None:
         table = self.problem.separations
@@ -85,6 +89,8 @@ class Tree:
         )
         self.own = np.flatnonzero(mine)
         self.table = table.taken(self.own)
+        self._ends = self.qp.ends.taken(self.own)
+        self._prices = self.qp.prices(self.own).tolist()
 
     def run(self) -> None:
         """Search within the budget: a first solution, the tree best first, then neighbourhoods."""
@@ -198,7 +204,7 @@ class Tree:
     ) -> tuple[PivotSolution | None, list[_Passed]]:
         """Give the best child of a conflict, and the others: those that cannot be better unsolved."""
         best: PivotSolution | None = None
-        least = np.inf
+        least = math.inf
         passed: list[_Passed] = []
         for bound, choice in self.priced(node, conflict, slack):
             if bound >= min(least, self.cutoff):
@@ -220,10 +226,11 @@ class Tree:
     def priced(self, node: PivotSolution, conflict: int, slack: FloatArray) -> list[tuple[float, Choice]]:
         """The options of a group's conflict with lower bounds of their cost, cheapest first."""
         separation = int(self.own[conflict])
+        missed = zip(self._prices[conflict], slack.tolist(), strict=True)
         return sorted(
-            (node.cost + self.qp.price(separation, o) * float(slack[o]) ** 2, (separation, o))
-            for o in range(4)
-            if np.isfinite(slack[o])
+            (node.cost + price * missed_m**2, (separation, option))
+            for option, (price, missed_m) in enumerate(missed)
+            if math.isfinite(missed_m)
         )
 
     def _solve(self, node: PivotSolution, choice: Choice) -> PivotSolution | None:
@@ -234,18 +241,19 @@ class Tree:
 
     def slack(self, node: PivotSolution) -> FloatArray:
         """How far the options of the group's separations hold (D, 4) with least cubes."""
-        return self.table.slack(self.problem.least_cubes(self.qp.z(node)))
+        return self._ends.slack(self.qp.points(node))
 
     def worst_conflict(self, slack: FloatArray) -> int | None:
         """Branch where the overlap is largest and a second way out is far, or in the earliest unit."""
         if not len(slack):
             return None
-        ordered = np.sort(slack, axis=1)[:, ::-1]
-        overlap = -ordered[:, 0]
-        if overlap.max() <= CONFLICT_M:
+        open_ = np.flatnonzero(slack.max(axis=1) < -CONFLICT_M)
+        if not len(open_):
             return None
-        second = np.where(np.isfinite(ordered[:, 1]), -ordered[:, 1], _NO_WAY_OUT_M)
-        open_ = overlap > CONFLICT_M
         if self.earliest_first:
-            open_ &= self.table.unit == self.table.unit[open_].min()
-        return int(np.argmax(np.where(open_, overlap + second / 2.0, -np.inf)))
+            unit = self.table.unit[open_]
+            open_ = open_[unit == unit.min()]
+        ordered = np.sort(slack[open_], axis=1)
+        overlap, second = -ordered[:, 3], -ordered[:, 2]
+        second = np.where(np.isfinite(second), second, _NO_WAY_OUT_M)
+        return int(open_[np.argmax(overlap + second / 2.0)])

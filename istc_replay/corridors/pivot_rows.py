@@ -24,40 +24,93 @@ _ROOM = 32
 #: Rows are of unit length; one missed by more than this is watched.
 _MISSED = 1e-6
 _TINY = 1e-12
+_UNBOUNDED = 1e30
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(slots=True, eq=False)
 class _Own:
-    """One vehicle's bounds and rows: scaled to unit length, `matrix` (R, n); `lower`, `upper` (n + R,)."""
+    """One vehicle's bounds and rows: scaled to unit length, `matrix` (R, n); `lower`, `upper` (n + R,).
+
+    `columns` and `rows` say where its variables and rows stand among those of all vehicles.
+    """
 
     matrix: FloatArray
     lower: FloatArray
     upper: FloatArray
-    watched: NDArray[np.bool_]  # (R,): rows that a solution without them has missed
+    columns: IntArray
+    rows: IntArray
+    watched: IntArray  # numbers of the rows that a solution without them has missed
 
-    def missed(self, y: FloatArray) -> int:
-        """Watch the rows that y misses; returns how many were not watched yet."""
-        value, count = self.matrix @ y, self.matrix.shape[1]
-        new = (value < self.lower[count:] - _MISSED) | (value > self.upper[count:] + _MISSED)
-        new &= ~self.watched
-        self.watched[new] = True
-        return int(new.sum())
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TiedRows:
+    """Rows of options: `column`, `weight` (R, 2) of their entries, and `lower` bounds (R,).
+
+    A row of one entry has it twice.
+    """
+
+    column: IntArray
+    weight: FloatArray
+    lower: FloatArray
+
+    @classmethod
+    def join(cls, parts: list[TiedRows]) -> TiedRows:
+        """Put rows one below the other."""
+        if len(parts) == 1:
+            return parts[0]
+        columns = np.concatenate([part.column for part in parts])
+        weights = np.concatenate([part.weight for part in parts])
+        return cls(columns, weights, np.concatenate([part.lower for part in parts]))
+
+
+NO_ROWS = TiedRows(np.zeros((0, 2), dtype=np.int64), np.zeros((0, 2)), np.zeros(0))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PivotMatrix:
-    """The watched rows of some vehicles, below them room for those of options, and a unit Hessian.
+    """The watched rows of some vehicles, and below them room for those of options.
 
-    `place` says where variables and watched rows stand among all variables and rows, `count` of both.
+    `columns` are the vehicles' own of all columns, `local` the way back. `place` says where variables
+    and watched rows stand among those of all vehicles.
     """
 
     rows: FloatArray
     lower: FloatArray
     upper: FloatArray
+    sense: NDArray[np.int32]
+    columns: IntArray
+    local: IntArray
     place: IntArray
     watched: int
-    count: int
-    hessian: FloatArray
+
+    def with_options(self, tied: TiedRows) -> tuple[FloatArray, FloatArray, FloatArray, NDArray[np.int32]]:
+        """Rows, upper and lower bounds and their kinds with options; valid until it is called again."""
+        count, own = len(tied.lower), len(self.place)
+        rows = self.rows[: self.watched + count]
+        if count:
+            below = rows[self.watched :]
+            below[:] = 0.0
+            below[np.arange(count)[:, None], self.local[tied.column]] = tied.weight
+            self.lower[own : own + count] = tied.lower
+        return rows, self.upper[: own + count], self.lower[: own + count], self.sense[: own + count]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Check:
+    """All rows of some vehicles, to see which a solution misses."""
+
+    matrices: tuple[FloatArray, ...]
+    columns: tuple[slice, ...]
+    rows: tuple[slice, ...]
+    least: FloatArray
+    most: FloatArray
+    value: FloatArray
+
+    def missed(self, y: FloatArray) -> NDArray[np.bool_]:
+        """Which rows y misses."""
+        for matrix, column, row in zip(self.matrices, self.columns, self.rows, strict=True):
+            np.dot(matrix, y[column], out=self.value[row])
+        return np.asarray((self.value < self.least) | (self.value > self.most))
 
 
 class PivotRows:
@@ -73,42 +126,71 @@ class PivotRows:
 
     def __init__(self, problem: CorridorProblem, root: FloatArray) -> None:
         self._own = _own_rows(problem, root)
+        self._columns = len(root)
+        #: Number of all variables and rows.
+        self.count = self._columns + sum(len(own.rows) for own in self._own)
         self._matrices: dict[tuple[int, ...], PivotMatrix] = {}
-
-    def count(self, vehicle: int) -> int:
-        """Number of a vehicle's rows, watched or not."""
-        return len(self._own[vehicle].matrix)
+        self._checks: dict[tuple[int, ...], _Check] = {}
 
     def missed(self, members: tuple[int, ...], y: FloatArray) -> bool:
         """Watch the rows that y of these vehicles misses; whether any is new."""
-        ends = np.cumsum([self._own[v].matrix.shape[1] for v in members])
-        parts = np.split(y, ends[:-1])
-        return sum(self._own[v].missed(part) for v, part in zip(members, parts, strict=True)) > 0
+        check = self._checks.get(members) or self._check(members)
+        missed = check.missed(y)
+        if not missed.any():
+            return False
+        new = 0
+        for vehicle, rows in zip(members, check.rows, strict=True):
+            own = self._own[vehicle]
+            watched = np.union1d(own.watched, np.flatnonzero(missed[rows]))
+            new += len(watched) - len(own.watched)
+            own.watched = watched
+        return new > 0
 
     def matrix(self, members: tuple[int, ...], tied: int) -> PivotMatrix:
         """The rows of some vehicles that are watched at present, with room for `tied` rows of options."""
         own = [self._own[v] for v in members]
-        watched = [np.flatnonzero(o.watched) for o in own]
-        count = sum(map(len, watched))
+        count = sum(len(o.watched) for o in own)
         known = self._matrices.get(members)
         if known is not None and known.watched == count and len(known.rows) >= count + tied:
             return known
-        sizes = [o.matrix.shape[1] for o in own]
-        size = sum(sizes)
-        rows = np.zeros((count + max(_ROOM, 2 * tied), size))
+        columns = np.concatenate([o.columns for o in own])
+        size, room = len(columns), max(_ROOM, 2 * tied)
+        rows = np.zeros((count + room, size))
         row = column = 0
-        for o, which, width in zip(own, watched, sizes, strict=True):
-            rows[row : row + len(which), column : column + width] = o.matrix[which]
-            row, column = row + len(which), column + width
-        offsets = size + np.cumsum([0, *(len(o.matrix) for o in own)])
-        place = [np.arange(size), *(o + which for o, which in zip(offsets, watched, strict=False))]
-        parts = list(zip(own, sizes, watched, strict=True))
-        lower = [o.lower[:n] for o, n, _ in parts] + [o.lower[n + which] for o, n, which in parts]
-        upper = [o.upper[:n] for o, n, _ in parts] + [o.upper[n + which] for o, n, which in parts]
-        bounds = np.concatenate(lower), np.concatenate(upper)
-        found = PivotMatrix(rows, *bounds, np.concatenate(place), count, int(offsets[-1]), np.eye(size))
+        for o in own:
+            width = len(o.columns)
+            rows[row : row + len(o.watched), column : column + width] = o.matrix[o.watched]
+            row, column = row + len(o.watched), column + width
+        local = np.full(self._columns, CONSTANT, dtype=np.int64)
+        local[columns] = np.arange(size)
+        lower, upper = (
+            np.concatenate(
+                [side[: len(o.columns)] for o, side in sides]
+                + [side[len(o.columns) + o.watched] for o, side in sides]
+                + [np.full(room, _UNBOUNDED)]
+            )
+            for sides in ([(o, o.lower) for o in own], [(o, o.upper) for o in own])
+        )
+        place = np.concatenate([columns, *(o.rows[o.watched] for o in own)])
+        sense = np.zeros(len(lower), dtype=np.int32)
+        found = PivotMatrix(rows, np.maximum(lower, -_UNBOUNDED), upper, sense, columns, local, place, count)
         self._matrices[members] = found
         return found
+
+    def _check(self, members: tuple[int, ...]) -> _Check:
+        own = [self._own[v] for v in members]
+        columns = np.cumsum([0, *(len(o.columns) for o in own)]).tolist()
+        rows = np.cumsum([0, *(len(o.rows) for o in own)]).tolist()
+        check = _Check(
+            tuple(o.matrix for o in own),
+            tuple(slice(*ends) for ends in pairwise(columns)),
+            tuple(slice(*ends) for ends in pairwise(rows)),
+            np.concatenate([o.lower[len(o.columns) :] for o in own]) - _MISSED,
+            np.concatenate([o.upper[len(o.columns) :] for o in own]) + _MISSED,
+            np.zeros(rows[-1]),
+        )
+        self._checks[members] = check
+        return check
 
 
 def _own_rows(problem: CorridorProblem, root: FloatArray) -> list[_Own]:
@@ -122,17 +204,20 @@ def _own_rows(problem: CorridorProblem, root: FloatArray) -> list[_Own]:
     lower = (problem.lower[pivots] - reference) * root
     upper = (problem.upper[pivots] - reference) * root
     found = []
+    place = len(pivots)
     for first, end in pairwise(ends):
         which = np.flatnonzero(pivotal & (column[:, 0] >= first) & (column[:, 0] < end))
         matrix = np.zeros((len(which), end - first + 1))  # the last column takes the padding
-        place = np.where(column[which] == CONSTANT, end - first, column[which] - first)
-        np.put_along_axis(matrix, place, rows.weight[which], axis=1)
+        at = np.where(column[which] == CONSTANT, end - first, column[which] - first)
+        np.put_along_axis(matrix, at, rows.weight[which], axis=1)
         matrix = matrix[:, :-1]
         shift = matrix @ reference[first:end]
         matrix = matrix / root[first:end]
         length = np.maximum(np.linalg.norm(matrix, axis=1), _TINY)
         low = np.concatenate([lower[first:end], (rows.lower[which] - shift) / length])
         high = np.concatenate([upper[first:end], (rows.upper[which] - shift) / length])
-        watched = np.zeros(len(which), dtype=bool)
-        found.append(_Own(matrix / length[:, None], low, high, watched))
+        numbers = place + np.arange(len(which))
+        place += len(which)
+        none = np.zeros(0, dtype=np.int64)
+        found.append(_Own(matrix / length[:, None], low, high, np.arange(first, end), numbers, none))
     return found
