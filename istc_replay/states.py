@@ -170,7 +170,7 @@ ENCOUNTERS_SCHEMA = pl.Schema(
         "least_gap_m": pl.Float64(),  # until the pause that ends an encounter is over
         "least_gap_ns": pl.Int64(),
         "least_ttc_s": pl.Float64(),
-        "most_drac_mps2": pl.Float64(),
+        "most_drac_mps2": pl.Float64(),  # at most what a car can brake
         "most_required_mps2": pl.Float64(),  # of the vehicle that needed less
         "least_thw_s": pl.Float64(),
         "least_pet_s": pl.Float64(),  # positive: first was there first
@@ -198,8 +198,8 @@ PAIR_SAMPLES_SCHEMA = pl.Schema(
         "ttc_s": pl.Float64(),
         "ttc_turning_s": pl.Float64(),  # yaw rates held; told of serious samples of turning vehicles
         "silhouette_m": pl.Float64(),  # overlap seen along the relative velocity
-        "drac_mps2": pl.Float64(),
-        "required_first_mps2": pl.Float64(),
+        "drac_mps2": pl.Float64(),  # at most what a car can brake, in contact too
+        "required_first_mps2": pl.Float64(),  # as DRAC; infinite where braking avoids nothing
         "required_second_mps2": pl.Float64(),
         "follower": pl.String(),
         "thw_s": pl.Float64(),

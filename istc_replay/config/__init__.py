@@ -4,7 +4,7 @@ Every key carries its unit as suffix. Defaults are the paper's (Tables I and II)
 has them; docs/method.md says why for the others.
 """
 
-from istc_replay.config.audit import AuditConfig
+from istc_replay.config.audit import HARDEST_BRAKING_MPS2, AuditConfig
 from istc_replay.config.corridors import CorridorsConfig
 from istc_replay.config.guidance import GuidanceConfig
 from istc_replay.config.ingest import ColumnTarget, FieldTarget, IngestConfig, TopicConfig, TopicFormat
@@ -15,6 +15,7 @@ from istc_replay.config.text import load_config, parse_config, render_config
 from istc_replay.config.trajectories import TrajectoriesConfig
 
 __all__ = [
+    "HARDEST_BRAKING_MPS2",
     "AuditConfig",
     "CertificateConfig",
     "ColumnTarget",

@@ -12,7 +12,12 @@ from pydantic import Field, model_validator
 
 from istc_replay.config.sections import Count, NonNegative, Positive, Section
 
+#: The hardest that a car brakes, on dry asphalt (Cunto and Saccomanno 2008): DRAC and required braking end
+#: here, since beyond it they tell no more than that contact cannot be braked away.
+HARDEST_BRAKING_MPS2 = 12.68
+
 Angle = Annotated[float, Field(gt=0, le=3.141592653589793)]
+Braking = Annotated[float, Field(gt=0, le=HARDEST_BRAKING_MPS2)]
 #: Keys of levels, least severe first, and whether smaller values are worse.
 _ORDERED = (
     (("gap_minor_m", "gap_serious_m"), True),
@@ -50,17 +55,17 @@ class AuditConfig(Section):
     """Post-encroachment time (Peesapati et al.)."""
     pet_critical_s: Positive = 1.0
     """Post-encroachment time (Varhelyi)."""
-    drac_minor_mps2: Positive = 3.0
+    drac_minor_mps2: Braking = 3.0
     """Deceleration to avoid a crash (SUMO's SSM device)."""
-    drac_serious_mps2: Positive = 3.4
+    drac_serious_mps2: Braking = 3.4
     """Deceleration to avoid a crash (Huber et al.)."""
-    drac_critical_mps2: Positive = 6.0
+    drac_critical_mps2: Braking = 6.0
     """Deceleration to avoid a crash (emergency braking, Stellet et al.)."""
-    required_minor_mps2: Positive = 3.0
+    required_minor_mps2: Braking = 3.0
     """Least braking that avoids contact, of either vehicle (as for DRAC)."""
-    required_serious_mps2: Positive = 3.4
+    required_serious_mps2: Braking = 3.4
     """Least braking that avoids contact, of either vehicle (as for DRAC)."""
-    required_critical_mps2: Positive = 6.0
+    required_critical_mps2: Braking = 6.0
     """Least braking that avoids contact, of either vehicle (as for DRAC)."""
     thw_minor_s: Positive = 1.8
     """Time headway (German advice, half of the speedometer)."""

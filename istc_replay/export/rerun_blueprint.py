@@ -18,7 +18,7 @@ _LINKED = rrb.components.LinkAxis.LinkToGlobal
 
 
 def blueprint(*, tab: int = 0, above: int | None = None) -> rrb.Blueprint:
-    """The layout: space-time, the view from above, report and events; plots and states below.
+    """The layout: space-time, the view from above, report, events and vehicles; plots and states below.
 
     Parameters
     ----------
@@ -32,7 +32,7 @@ def blueprint(*, tab: int = 0, above: int | None = None) -> rrb.Blueprint:
         _above_tabs(tab if above is None else above),
         rrb.Vertical(
             rrb.TextDocumentView(name="report", origin="/report", contents=["/report/**"]),
-            _events(),
+            rrb.Tabs(_log("events"), _log("vehicles")),
             row_shares=[3, 2],
         ),
         column_shares=[40, 31, 29],
@@ -124,11 +124,11 @@ def _hidden(root: str) -> dict[str, rrb.EntityBehavior]:
     return {root: rrb.EntityBehavior(visible=False)}
 
 
-def _events() -> rrb.TextLogView:
+def _log(name: str) -> rrb.TextLogView:
     return rrb.TextLogView(
-        name="events",
-        origin="/events",
-        contents=["/events/**"],
+        name=name,
+        origin=f"/{name}",
+        contents=[f"/{name}/**"],
         columns=rrb.TextLogColumns(timeline_columns=["scenario_time"], text_log_columns=["loglevel", "body"]),
     )
 

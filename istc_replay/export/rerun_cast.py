@@ -15,6 +15,7 @@ import numpy as np
 import polars as pl
 
 from istc_replay.export.rerun_clearance import Clearance, Leasts, add_leasts, closest_pairs
+from istc_replay.export.rerun_slots import Presence, presence, slots
 from istc_replay.export.rerun_stage import Span, Stage, height_of_second, tower_shares
 
 #: So many vehicles are shown in full.
@@ -28,14 +29,16 @@ SEVERITIES = ("critical", "serious", "minor")
 class Survey:
     """What the parts of a result add up to: who matters most, and how high a second is."""
 
-    vehicle_ids: set[str] = field(default_factory=set)
+    presence: dict[str, Presence] = field(default_factory=dict)
     leasts: Leasts = field(default_factory=dict)
     shares: list[float] = field(default_factory=list)
     states: int = 0
 
     def add(self, stage: Stage, found: list[Clearance]) -> None:
         """Add a part."""
-        self.vehicle_ids.update(stage.vehicle_ids)
+        for vehicle_id, (first_ns, last_ns) in presence(stage).items():
+            first, last = self.presence.get(vehicle_id, (first_ns, last_ns))
+            self.presence[vehicle_id] = min(first, first_ns), max(last, last_ns)
         add_leasts(self.leasts, found)
         self.shares += tower_shares(stage.spans, stage.grounds)
         self.states += stage.states_shown
@@ -60,13 +63,16 @@ def cast(stage: Stage, found: list[Clearance], focus: Iterable[str], whole: Surv
         leading[span.index] = asked or frozenset(order[:LEADING])
         closest = min(own, key=lambda c: (c.least_m, c.pair), default=None)
         follows[span.index] = tuple(sorted(asked)) or (closest.pair if closest else ())
+    shared = slots(whole.presence)
     return replace(
         stage,
-        starring=asked or frozenset(_ranked(whole.vehicle_ids, findings, whole.leasts)[:LEADING]),
+        starring=asked or frozenset(_ranked(whole.presence, findings, whole.leasts)[:LEADING]),
         leading=leading,
         follows=follows,
         closest=closest_pairs(whole.leasts),
-        plots_all=whole.states <= _QUIET_STATES,
+        plots_all=whole.states <= _QUIET_STATES and not shared,
+        presence=whole.presence,
+        slots=shared,
     )
 
 

@@ -43,21 +43,36 @@ def all_events(stage: Stage, found: list[Clearance]) -> list[Event]:
     return sorted(replace(event, text=cut(event.text)) for event in events)
 
 
+def arrivals(stage: Stage) -> list[Event]:
+    """When each vehicle of the whole result comes, for how long, and whose entities it has."""
+    low, high = stage.limits_ns
+    events = []
+    for vehicle_id, (first, last) in stage.presence.items():
+        if low <= first < high:
+            where = f", in {stage.slots[vehicle_id]}" if stage.slots else ""
+            text = f"vehicle {label(vehicle_id)} is shown for {(last - first) / 1e9:.1f} s{where}"
+            events.append(Event(first, "vehicles", "INFO", text))
+    return sorted(events)
+
+
 def event_chunks(stage: Stage, found: list[Clearance]) -> list[Chunk]:
-    """Chunks under `/events`, one entity a kind."""
+    """Chunks under `/events`, one entity a kind, and `/vehicles`, where each line leads to a vehicle."""
     events = all_events(stage, found)
-    chunks = []
+    chunks = _lines(stage, entity("vehicles"), arrivals(stage))
     for kind in sorted({event.kind for event in events}):
-        own = [event for event in events if event.kind == kind]
-        chunks += shown(
-            stage.clock,
-            entity("events", kind),
-            [event.time_ns for event in own],
-            [FOREVER_NS] * len(own),
-            each(rr.TextLog, text=[e.text for e in own], level=[_LEVELS[e.level] for e in own]),
-            row_bytes=300.0,
-        )
+        chunks += _lines(stage, entity("events", kind), [event for event in events if event.kind == kind])
     return chunks
+
+
+def _lines(stage: Stage, path: str, events: list[Event]) -> list[Chunk]:
+    return shown(
+        stage.clock,
+        path,
+        [event.time_ns for event in events],
+        [FOREVER_NS] * len(events),
+        each(rr.TextLog, text=[e.text for e in events], level=[_LEVELS[e.level] for e in events]),
+        row_bytes=300.0,
+    )
 
 
 def _input_events(stage: Stage) -> list[Event]:

@@ -57,7 +57,8 @@ def plot_chunks(stage: Stage, found: list[Clearance]) -> list[Chunk]:
             if plotted and stage.in_part(track.times_ns).any():
                 chunks += _signals(stage, source, track)
     for vehicle_id in stage.vehicle_ids:
-        chunks += _states(stage, vehicle_id)
+        if vehicle_id in stage.starring or not stage.slots:
+            chunks += _states(stage, vehicle_id)
     return chunks + _clearances(stage, found) + _precedence(stage)
 
 

@@ -75,9 +75,11 @@ def _cast(stage: Stage, span: Span) -> str:
         for ids in (stage.leading[span.index], stage.starring)
     )
     rest = "under *quiet* in the views' trees" if stage.plots_all else "by `view --focus ID`"
+    shared = "\n- entities: many come and go and share slots; *vehicles* tells when who is in which"
     return (
         f"### Shown in full\n\n- named and with corridors here: {here}\n- plotted: {plotted}\n"
         f"- corridors of the others: under *quiet* in the views' trees; their plots: {rest}"
+        + (shared if stage.slots else "")
     )
 
 
@@ -98,13 +100,15 @@ def _vehicles(stage: Stage, span: Span, found: list[Clearance]) -> str:
     gaps = {source: least_by_vehicle(found, span.index, source) for source in ("planned", "recorded")}
     solves = stage.result.solves.filter(pl.col("window") == span.index, pl.col("layer") == "trajectory")
     by_vehicle = {row["vehicle_id"]: row for row in solves.iter_rows(named=True)}
-    head = ("vehicle", "priority", "corridor", "clearance", "recorded", "speed sd", "solve")
+    slot = ("slot",) if stage.slots else ()
+    head = ("vehicle", *slot, "priority", "corridor", "clearance", "recorded", "speed sd", "solve")
     rows = []
     for vehicle in span.summary["vehicles"]:
         name, solve = vehicle["id"], by_vehicle.get(vehicle["id"], {})
         rows.append(
             (
                 escaped(stage.names.get(name) or label(name)),
+                *(escaped(stage.slots.get(name, "")) for _ in slot),
                 number(vehicle.get("priority"), ".2f"),
                 number(vehicle.get("corridor_area_m2"), ".0f", " m²"),
                 _gap(gaps["planned"], name) if (span.index, name) in stage.planned else "\N{EN DASH}",

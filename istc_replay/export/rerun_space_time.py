@@ -18,6 +18,7 @@ from istc_replay.export.rerun_chunks import (
     shown,
     ui_radius,
 )
+from istc_replay.export.rerun_slots import place
 from istc_replay.export.rerun_stage import Root, Span, Stage, local_cubes, local_points
 from istc_replay.geometry import rotate
 
@@ -143,7 +144,7 @@ def _corridor(stage: Stage, vehicle_id: str, root: Root, shown_in: set[int]) -> 
     tables = stage.cubes_of(vehicle_id, shown_in)
     if not tables:
         return []
-    name, colour, clock = stage.names[vehicle_id], stage.colours[vehicle_id], stage.clock
+    name, colour, clock = place(stage, vehicle_id), stage.colours[vehicle_id], stage.clock
     spans, counts = [span for span, _ in tables], [own.height for _, own in tables]
     table, (bottom, top) = pl.concat([own for _, own in tables]), _heights(stage, tables)
     centres, halves, turns = local_cubes(stage, table)
@@ -197,7 +198,7 @@ def _trajectories(stage: Stage, vehicle_id: str) -> list[Chunk]:
         for source, states in stage.window_states(span, vehicle_id).items():
             points = at_height(states[:, 1:3], states[:, 0] * stage.metres_per_second)
             lines[source].append((span, points))
-    name, colour = stage.names[vehicle_id], stage.colours[vehicle_id]
+    name, colour = place(stage, vehicle_id), stage.colours[vehicle_id]
     grey = stage.recorded_colour(vehicle_id)
     roots = {source: ("space_time", source, "trajectory", name) for source in ("planned", "recorded")}
     dashed = [(span, _dashes(points, stage.metres_per_second)) for span, points in lines["guidance"]]

@@ -112,7 +112,9 @@ class Stage:
     whose plots are shown, `leading` by window those that are named and whose corridors are shown
     there; the rest waits under `quiet` (see `rerun_cast`). `follows` are the vehicles that the
     close-up follows by window, `closest` the pairs whose clearance is plotted; `plots_all`: those of
-    the others are in the view too. `anchor` tells which part of a result this is.
+    the others are in the view too. `anchor` tells which part of a result this is. `presence` tells from when
+    to when [ns] each vehicle of the whole result is shown, and `slots` whose entities it has where many come
+    and go (see `rerun_slots`).
     """
 
     result: Result
@@ -134,6 +136,8 @@ class Stage:
     starring: frozenset[str] = frozenset()
     leading: dict[int, frozenset[str]] = field(default_factory=dict)
     follows: dict[int, tuple[str, ...]] = field(default_factory=dict)
+    presence: dict[str, tuple[int, int]] = field(default_factory=dict)
+    slots: dict[str, str] = field(default_factory=dict)
 
     @property
     def vehicle_ids(self) -> list[str]:

@@ -6,6 +6,8 @@ of the others wait under `/now/quiet`.
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import polars as pl
 import rerun as rr
@@ -21,9 +23,9 @@ from istc_replay.export.rerun_chunks import (
     ragged,
     same,
     shown,
-    static,
     ui_radius,
 )
+from istc_replay.export.rerun_slots import look, place
 from istc_replay.export.rerun_space_time import FILL, line_chunks
 from istc_replay.export.rerun_stage import Root, Stage, local_cubes, local_points
 from istc_replay.export.rerun_tracks import Track
@@ -33,6 +35,8 @@ _TRAIL_POINTS = 13
 #: Heights above the present plane [m].
 _CUBE_Z, _PATH_Z, _TRAIL_Z, _RECORDED_Z, _PLANNED_Z = 0.04, 0.06, 0.08, 0.1, 0.12
 _FLAT_M = 0.01
+#: Size of a box's row, and of its colours, sizes and name where they stand in each row.
+_ROW_BYTES, _STYLE_BYTES = 64.0, 90.0
 
 
 def vehicle_chunks(stage: Stage) -> list[Chunk]:
@@ -52,7 +56,7 @@ def _cubes(stage: Stage, vehicle_id: str, root: Root, shown_in: set[int]) -> lis
     tables = stage.cubes_of(vehicle_id, shown_in)
     if not tables:
         return []
-    name, colour = stage.names[vehicle_id], stage.colours[vehicle_id]
+    name, colour = place(stage, vehicle_id), stage.colours[vehicle_id]
     starts, ends, keep = stage.in_view(tables)
     table = pl.concat([own for _, own in tables]).filter(keep)
     centres, halves, turns = local_cubes(stage, table)
@@ -89,55 +93,60 @@ def _paths(stage: Stage, vehicle_id: str, root: Root, shown_in: set[int]) -> lis
         lines = [(span, stage.window_states(span, vehicle_id).get(source)) for span in spans]
         drawn = [(span, at_height(states[:, 1:3], _PATH_Z)) for span, states in lines if states is not None]
         chunks += line_chunks(
-            stage, entity(*root, source, "path", stage.names[vehicle_id]), drawn, colour, width
+            stage, entity(*root, source, "path", place(stage, vehicle_id)), drawn, colour, width
         )
     return chunks
 
 
 def _planned(stage: Stage, track: Track) -> list[Chunk]:
     name, colour = stage.names[track.vehicle_id], stage.colours[track.vehicle_id]
-    path, own = entity("now", "planned", "box", name), stage.own(track)
+    where = place(stage, track.vehicle_id)
+    path, own = entity("now", "planned", "box", where), stage.own(track)
     return [
-        static(path, rr.Boxes3D.columns(colors=[colour], fill_mode=[FILL.Solid], labels=[name])),
-        *_moving_boxes(stage, path, own, _PLANNED_Z),
+        *_moving_boxes(stage, path, own, _PLANNED_Z, colors=colour, fill_mode=FILL.Solid, labels=name),
         *_naming(stage, path, own),
-        *_trail(stage, entity("now", "planned", "trail", name), track, colour, 2.2),
+        *_trail(stage, entity("now", "planned", "trail", where), track, colour, 2.2),
     ]
 
 
 def _recorded(stage: Stage, track: Track) -> list[Chunk]:
     """Outlines; who has no plan is named on the box, the others where only the recording is seen."""
     name, colour = stage.names[track.vehicle_id], stage.recorded_colour(track.vehicle_id)
-    path, names = entity("now", "recorded", "box", name), entity("now", "names", name)
+    where = place(stage, track.vehicle_id)
+    path, names = entity("now", "recorded", "box", where), entity("now", "names", where)
     own = stage.own(track)
-    style = {"colors": [colour], "radii": [ui_radius(1.1)], "fill_mode": [FILL.MajorWireframe]}
+    style = {"colors": colour, "radii": ui_radius(1.1), "fill_mode": FILL.MajorWireframe}
     chunks = [
-        static(path, rr.Boxes3D.columns(**style, labels=[name])),
-        *_moving_boxes(stage, path, own, _RECORDED_Z),
-        *_trail(stage, entity("now", "recorded", "trail", name), track, colour, 1.6),
+        *_moving_boxes(stage, path, own, _RECORDED_Z, **style, labels=name),
+        *_trail(stage, entity("now", "recorded", "trail", where), track, colour, 1.6),
     ]
     if track.vehicle_id not in stage.in_force:
         return chunks + _naming(stage, path, own)
     led = stage.leads_at(track.vehicle_id, own.times_ns)
     places = each(rr.Points3D, positions=at_height(own.poses[led, :2], _RECORDED_Z))
+    still, moving = look(stage, names, rr.Points3D, labels=name, colors=colour, show_labels=True)
     return [
         *chunks,
-        static(names, rr.Points3D.columns(labels=[name], colors=[colour], show_labels=[True])),
-        *shown(stage.clock, names, own.times_ns[led], own.ends_ns[led], places),
+        *still,
+        *shown(stage.clock, names, own.times_ns[led], own.ends_ns[led], places, *moving),
     ]
 
 
-def _moving_boxes(stage: Stage, path: str, track: Track, z: float) -> list[Chunk]:
+def _moving_boxes(stage: Stage, path: str, track: Track, z: float, **style: Any) -> list[Chunk]:
     halves = at_height(track.sizes_m / 2.0, _FLAT_M)
     constant = bool((halves == halves[0]).all())
+    still, moving = look(stage, path, rr.Boxes3D, **style, **({"half_sizes": halves[0]} if constant else {}))
     boxes = each(
         rr.Boxes3D,
         centers=at_height(track.poses[:, :2], z),
         quaternions=quaternions(track.poses[:, 2]),
         **({} if constant else {"half_sizes": halves}),
     )
-    size = [static(path, rr.Boxes3D.columns(half_sizes=halves[:1]))] if constant else []
-    return size + shown(stage.clock, path, track.times_ns, track.ends_ns, boxes)
+    size = _ROW_BYTES + (_STYLE_BYTES if moving else 0.0)
+    return [
+        *still,
+        *shown(stage.clock, path, track.times_ns, track.ends_ns, boxes, *moving, row_bytes=size),
+    ]
 
 
 def _naming(stage: Stage, path: str, track: Track) -> list[Chunk]:
@@ -168,7 +177,8 @@ def _trail(stage: Stage, path: str, track: Track, colour: Colour, width: float) 
         ends.append(np.append(heads[1:], max(track.ends_ns[part][-1], heads[-1] + 1))[led])
     if not starts:
         return []
-    style = rr.LineStrips3D.columns(colors=[colour], radii=[ui_radius(width)])
+    still, moving = look(stage, path, rr.LineStrips3D, colors=colour, radii=ui_radius(width))
     rows = ragged(rr.LineStrips3D, [1] * len(strips), strips=strips)
     times = (np.concatenate(starts), np.concatenate(ends))
-    return [static(path, style), *shown(stage.clock, path, *times, rows, row_bytes=12.0 * _TRAIL_POINTS)]
+    size = 12.0 * _TRAIL_POINTS + (_STYLE_BYTES if moving else 0.0)
+    return [*still, *shown(stage.clock, path, *times, rows, *moving, row_bytes=size)]

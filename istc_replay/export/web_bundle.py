@@ -17,7 +17,7 @@ from istc_replay.config import ViewConfig
 from istc_replay.datatypes import Result
 from istc_replay.errors import ExportError
 from istc_replay.export.atomic import atomic_file, prepare_folder
-from istc_replay.export.rerun_events import Event, all_events
+from istc_replay.export.rerun_events import Event, all_events, arrivals
 from istc_replay.export.rerun_view import Opening, Parts, laid_out, write_view
 from istc_replay.export.rerun_viewer import LOCAL, free_port, rerun_command
 from istc_replay.export.web_page import view_page
@@ -62,11 +62,12 @@ def write_bundle(
     if report is not None and with_report and report.resolve() != (folder / "report.html").resolve():
         with atomic_file(folder / "report.html") as file:
             shutil.copyfile(report, file)
-    origin, events = 0, list[Event]()
+    origin, events, comings = 0, list[Event](), list[Event]()
     for stage, found in laid_out(result, config, opening.focus, parts):
         origin = stage.clock.origin_ns
         events += all_events(stage, found)
-    page = view_page(result, sorted(events), origin, instant_ns or 0, report=with_report)
+        comings += arrivals(stage)
+    page = view_page(result, sorted(events), comings, origin, instant_ns or 0, report=with_report)
     _write(folder / "index.html", page.encode())
 
 

@@ -20,10 +20,18 @@ _POLICY = (
 )
 _EVENTS = 1000
 _WINDOWS = 200
+#: More vehicles are folded away.
+_FOLDED = 24
 
 
 def view_page(
-    result: Result, events: Sequence[Event], origin_ns: int, instant_ns: int, *, report: bool
+    result: Result,
+    events: Sequence[Event],
+    comings: Sequence[Event],
+    origin_ns: int,
+    instant_ns: int,
+    *,
+    report: bool,
 ) -> str:
     """The document; `instant_ns`, from `origin_ns` on, is where the scene opens.
 
@@ -31,6 +39,8 @@ def view_page(
     ----------
     events : sequence of Event
         The log of events; of very many the worst are listed.
+    comings : sequence of Event
+        When each vehicle comes.
     report : bool
         Whether report.html stands beside it.
     """
@@ -64,7 +74,13 @@ def view_page(
         element("a", "Skip to the events", href="#events", class_="skip"),
         element("header", element("h1", f"Replay of {name}"), _totals(result, report)),
         scene,
-        element("aside", _windows(result), _list(events, origin_ns), aria_label="What happened"),
+        element(
+            "aside",
+            _windows(result),
+            _list(events, origin_ns),
+            _comings(comings, origin_ns),
+            aria_label="What happened",
+        ),
         data_ns=str(instant_ns),
     )
     return f"<!DOCTYPE html>\n{element('html', head, body, lang='en')}\n"
@@ -109,6 +125,18 @@ def _list(events: Sequence[Event], origin_ns: int) -> Content:
         element("p", "A button sets the scene to its instant."),
         element("ul", *rows),
     ]
+
+
+def _comings(comings: Sequence[Event], origin_ns: int) -> Content:
+    """Every vehicle with the instant when it comes, folded where there are many."""
+    rows = element("ul", *(_row(event, origin_ns) for event in comings))
+    told = f"{len(comings)} vehicles"
+    if len(comings) > _FOLDED:
+        return [
+            element("h2", "Vehicles"),
+            element("details", element("summary", f"{told}, by the time when they come"), rows),
+        ]
+    return [element("h2", "Vehicles"), rows]
 
 
 def _row(event: Event, origin_ns: int) -> Html:

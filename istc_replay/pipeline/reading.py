@@ -7,13 +7,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+import polars as pl
+
 from istc_replay.ingest.result import load_result_folder, read_result, result_file
 from istc_replay.ingest.result_states import result_parts, window_states
 
 if TYPE_CHECKING:
     from collections.abc import Callable
-
-    import polars as pl
 
     from istc_replay.datatypes import Result
 
@@ -38,9 +38,13 @@ class Reading:
         """The parts of the result, each with some of its windows."""
         return iter([self.result]) if self.parts is None else self.parts()
 
-    def vehicles(self) -> set[str]:
-        """Everybody of whom there is a state."""
-        return {vehicle for part in self.each() for vehicle in part.states["vehicle_id"].unique()}
+    def vehicles(self) -> dict[str, int]:
+        """Everybody of whom there is a state, with the time of the first [ns]."""
+        first: dict[str, int] = {}
+        for part in self.each():
+            for vehicle_id, time_ns in part.states.group_by("vehicle_id").agg(pl.col("time_ns").min()).rows():
+                first[vehicle_id] = min(time_ns, first.get(vehicle_id, time_ns))
+        return first
 
     def _states(self, windows: Sequence[int]) -> pl.DataFrame:
         return window_states(self.source, self.result, windows)

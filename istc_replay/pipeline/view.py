@@ -77,7 +77,7 @@ def open_view(
     finding : str, optional
         The id of a finding or its beginning: opens where it is worst, and shows its vehicles.
     focus : sequence of str
-        Vehicles to show in full.
+        Vehicles to show in full; without `at` and `finding` it opens when the last of them comes.
 
     Raises
     ------
@@ -95,10 +95,13 @@ def open_view(
     if finding is not None:
         worst_ns, involved = _finding(result, finding)
         instant_ns, vehicles = worst_ns, vehicles or involved
-    known = reading.vehicles() if vehicles else set()
-    for vehicle_id in vehicles:
-        if vehicle_id not in known:
-            raise UsageError(f"--focus {vehicle_id}: no such vehicle; there are {_some(sorted(known))}")
+    if vehicles:
+        known = reading.vehicles()
+        for vehicle_id in vehicles:
+            if vehicle_id not in known:
+                raise UsageError(f"--focus {vehicle_id}: no such vehicle; there are {_some(sorted(known))}")
+        if instant_ns is None:
+            instant_ns = max(origin_ns, *(known[vehicle_id] for vehicle_id in vehicles))
     if at is not None:
         instant_ns = _instant(at, origin_ns)
     if instant_ns is not None and not first_ns <= instant_ns <= last_ns:

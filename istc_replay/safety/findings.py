@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from istc_replay.config import AuditConfig
+from istc_replay.config import HARDEST_BRAKING_MPS2, AuditConfig
 from istc_replay.datatypes import FloatArray, Verdict
 from istc_replay.safety.bodies import Body
 from istc_replay.safety.events import Event, find_events
@@ -142,12 +142,16 @@ def _pair_notes(rule: Rule, pairs: Pairs, event: Event, bodies: list[Body]) -> l
     if rule.name == "thw":
         return [f"{bodies[int(pairs['follower'][worst])].name} follows"]
     notes = []
+    braking = 0.0
     if rule.name == "drac":
+        braking = pairs["drac_mps2"][worst]
         notes.append("of the relative motion")
     if rule.name == "required_deceleration":
         first, second = pairs["required_first_mps2"][worst], pairs["required_second_mps2"][worst]
-        who = pairs.first if first <= second else pairs.second
+        who, braking = (pairs.first, first) if first <= second else (pairs.second, second)
         notes.append(f"of {bodies[int(who[worst])].name} alone")
+    if braking >= HARDEST_BRAKING_MPS2:
+        notes.append("or more: no car brakes so hard that contact is avoided")
     if rule.name in _STRAIGHT and event.level == 0 and np.isinf(pairs["ttc_turning_s"][worst]):
         notes.append("minor, as with the yaw rates held there is no contact")
     return notes

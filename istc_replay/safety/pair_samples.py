@@ -8,7 +8,7 @@ import numpy as np
 import polars as pl
 from numpy.typing import NDArray
 
-from istc_replay.config import AuditConfig
+from istc_replay.config import HARDEST_BRAKING_MPS2, AuditConfig
 from istc_replay.datatypes import FloatArray
 from istc_replay.errors import LogError
 from istc_replay.safety.bodies import Body
@@ -213,7 +213,7 @@ def _chunk_pairs(
         "relative_speed_mps": np.hypot(relative[:, 0], relative[:, 1]),
         "ttc_s": ttc,
         "silhouette_m": silhouette_overlap(a, b, relative),
-        "drac_mps2": drac,
+        "drac_mps2": np.minimum(drac, HARDEST_BRAKING_MPS2),
         "required_first_mps2": needed[0],
         "required_second_mps2": needed[1],
         "follower": follower.astype(np.float64),
@@ -241,11 +241,11 @@ def _required(
     ttc: FloatArray,
     audit: AuditConfig,
 ) -> FloatArray:
-    """Required braking where contact is ahead within the horizon; 0 where not, inf in contact."""
+    """Required braking where contact is ahead within the horizon; 0 where not, inf where none avoids it."""
     needed = np.where(np.isnan(ttc), np.nan, np.where(gap <= 0.0, np.inf, 0.0))
     ahead = np.flatnonzero((ttc <= audit.horizon_s) & (gap > 0.0))
     needed[ahead] = required_deceleration(a[ahead], b[ahead], own[ahead], other[ahead])
-    return needed
+    return np.where(np.isfinite(needed), np.minimum(needed, HARDEST_BRAKING_MPS2), needed)
 
 
 def _chunk_encroachments(

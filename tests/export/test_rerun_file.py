@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import itertools
+import os
 import subprocess
 import sys
 from collections.abc import Callable
@@ -61,6 +62,25 @@ def test_the_recording_is_the_run(synthetic_result: Result, rrd: Path) -> None:
 
 def test_reruns_own_check_finds_the_file_whole(rrd: Path) -> None:
     subprocess.run([sys.executable, "-m", "rerun_cli", "rrd", "verify", str(rrd)], check=True)
+
+
+def test_a_file_without_a_footer_is_written_without_a_word(synthetic_bytes: bytes, tmp_path: Path) -> None:
+    (tmp_path / "result.mcap").write_bytes(synthetic_bytes)
+    code = """if True:
+        import sys
+        from pathlib import Path
+        from istc_replay.export import rerun_view
+        from istc_replay.pipeline.view import open_view
+        rerun_view._FOOTER_WINDOWS = 0
+        open_view(Path(sys.argv[1])).save(Path(sys.argv[1]) / "view.rrd")
+    """
+    command = [sys.executable, "-c", code, str(tmp_path)]
+    clean = {key: value for key, value in os.environ.items() if key != "RUST_LOG"}
+    for asked, told in ((None, ""), ("warn", "will not contain a manifest")):
+        own = clean if asked is None else clean | {"RUST_LOG": asked}
+        done = subprocess.run(command, capture_output=True, text=True, env=own, check=True)
+        assert told in done.stderr
+        assert bool(told) == bool(done.stderr)
 
 
 def test_the_layout_asks_for_whole_subtrees_that_exist(

@@ -10,6 +10,7 @@ from typing import Any
 
 import matplotlib.image
 import numpy as np
+import polars as pl
 import pytest
 
 from istc_replay.config import ViewConfig
@@ -123,6 +124,33 @@ def test_fifty_vehicles_are_not_a_clutter(viewer: Any, crowd: Result, tmp_path: 
     write_view(crowd, ViewConfig(), tmp_path / "crowd.rrd")
     viewer.open(str(tmp_path / "crowd.rrd"))
     assert _picture(viewer, 3.0).std() > 0.05
+    assert not _complaints(viewer)
+
+
+@pytest.mark.slow
+def test_a_thousand_vehicles_coming_and_going_open(viewer: Any, crowd: Result, tmp_path: Path) -> None:
+    """With entities of their own Rerun would refuse them: a hundred columns each are too many."""
+    second, names = 1_000_000_000, ("states", "corridors")
+    (window,) = crowd.summary["windows"]
+    tables: dict[str, list[pl.DataFrame]] = {name: [] for name in names}
+    windows = []
+    for k in range(24):
+        new = pl.lit(k, pl.Int32).alias("window")
+        for name in names:
+            own = pl.col("vehicle_id") + f".{k}"
+            times = [c for c in getattr(crowd, name).columns if c.endswith("_ns")]
+            moved = getattr(crowd, name).with_columns(pl.col(times) + 6 * k * second, new, own)
+            tables[name].append(moved)
+        vehicles = [row | {"id": f"{row['id']}.{k}"} for row in window["vehicles"]]
+        span = {key: window[key] + 6 * k * second for key in ("start_ns", "end_ns")}
+        windows.append(window | span | {"index": k, "vehicles": vehicles})
+    joined = {name: pl.concat(tables[name]) for name in names}
+    summary = crowd.summary | {"windows": windows}
+    write_view(replace(crowd, **joined, summary=summary), ViewConfig(), tmp_path / "many.rrd")
+    viewer.open(str(tmp_path / "many.rrd"))
+    assert _picture(viewer, 100.0).std() > 0.05
+    (recording,) = viewer.get_state().recordings
+    assert {timeline.name for timeline in recording.timelines} == {"time", "scenario_time", "time_unit"}
     assert not _complaints(viewer)
 
 

@@ -125,7 +125,7 @@ def test_the_browser_shows_the_scene_and_its_instants_offline(folder: Path, brow
         assert _stands_at(page, INSTANT_NS)
         before = _settled(page)
         assert before.std() > 0.05
-        button = page.locator("button[data-ns]").last
+        button = page.locator("#events ~ ul").first.locator("button").last
         button.click()
         page.wait_for_timeout(1500)
         assert _stands_at(page, int(button.get_attribute("data-ns")))

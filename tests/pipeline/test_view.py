@@ -70,6 +70,13 @@ def test_what_is_not_in_the_result_is_told_in_one_line(
     assert "\n" not in str(caught.value)
 
 
+def test_a_focus_opens_when_its_last_vehicle_comes_unless_told_otherwise(folder: Path) -> None:
+    assert open_view(folder, focus=["car 1"]).instant_ns == 0
+    assert open_view(folder, focus=["car 1", "car 3"]).instant_ns == S
+    assert open_view(folder, focus=["car 3"], at="4").instant_ns == 4 * S
+    assert open_view(folder).instant_ns is None
+
+
 def test_what_is_no_result_is_refused(tmp_path: Path) -> None:
     with pytest.raises(LogError):
         open_view(tmp_path)

@@ -9,7 +9,8 @@ import polars as pl
 import pytest
 from numpy.typing import NDArray
 
-from istc_replay.config import Config, parse_config
+from istc_replay.config import HARDEST_BRAKING_MPS2, Config, parse_config
+from istc_replay.errors import ConfigError
 from istc_replay.safety.log_audit import audit_log
 
 from ..support.encounters import AHEAD, T, bend, calm, drive, east, findings, near_miss, north, recorded
@@ -43,6 +44,32 @@ def test_a_crash_is_found_with_its_measures() -> None:
     # From 3 s before contact on: TIT is half of 3 squared.
     assert row["tet_s"] == pytest.approx(3.0, abs=0.2)
     assert row["tit_s2"] == pytest.approx(4.5, abs=0.35)
+
+
+def test_braking_ends_at_what_a_car_can_do_however_near_contact_is() -> None:
+    """8 m/s towards a car that stands, never braked: at the last instant contact is 1e-9 m away."""
+    x = 8.0 * (T - T[-1]) - 4.5 - 1e-6
+    moving = recorded("a", T, x_m=x, speed_mps=8.0)
+    audit = audit_log(log_of(moving, recorded("b", T, x_m=0.0, speed_mps=0.0)), Config())
+    gaps, drac = audit.pair_samples["gap_m"].to_numpy(), audit.pair_samples["drac_mps2"].to_numpy()
+    far = 8.0**2 / (2.0 * gaps) < HARDEST_BRAKING_MPS2
+    assert np.allclose(drac[far], 8.0**2 / (2.0 * gaps[far]))
+    assert (drac[~far] == HARDEST_BRAKING_MPS2).all()
+    assert (~far).sum() > 2
+    found = {row["rule"]: row for row in audit.findings.iter_rows(named=True)}
+    for rule in ("drac", "required_deceleration"):
+        assert found[rule]["value"] == HARDEST_BRAKING_MPS2
+        assert "no car brakes so hard" in found[rule]["detail"]
+    # Its worst instant is the first from which braking comes too late: 2.5 m away.
+    late = audit.pair_samples.filter(pl.col("drac_mps2") == HARDEST_BRAKING_MPS2)["time_ns"].min()
+    assert found["drac"]["worst_ns"] == late
+    assert audit.encounters["most_drac_mps2"].to_list() == [HARDEST_BRAKING_MPS2]
+    assert audit.encounters["most_required_mps2"].to_list() == [HARDEST_BRAKING_MPS2]
+
+
+def test_a_level_that_no_car_brakes_is_refused() -> None:
+    with pytest.raises(ConfigError, match="drac_critical_mps2"):
+        parse_config("[audit]\ndrac_critical_mps2 = 15.0")
 
 
 def test_tailgating_and_danger_by_rss_are_found() -> None:
