@@ -18,6 +18,12 @@ def ns_to_seconds(nanoseconds: int) -> float:
     return nanoseconds / NS_PER_S
 
 
+def median_step(times: ArrayLike) -> float:
+    """Median step of increasing times (S,), in their unit; 0 where there are less than two."""
+    steps = np.diff(np.asarray(times))
+    return float(np.median(steps)) if steps.size else 0.0
+
+
 def wrap_angle(angle_rad: ArrayLike) -> NDArray[np.float64]:
     """Wrap angles to [-pi, pi).
 

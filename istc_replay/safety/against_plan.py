@@ -20,7 +20,7 @@ from istc_replay.safety.bodies import Body, recorded_bodies
 from istc_replay.safety.case import Case, build_case
 from istc_replay.safety.findings import Finding, make_finding
 from istc_replay.safety.plan import written_plans
-from istc_replay.safety.recorded import recorded_tracks
+from istc_replay.safety.recorded import Track, recorded_tracks
 from istc_replay.safety.rules import CORRIDOR_RULE
 from istc_replay.safety.vehicle_samples import smoothed_motion
 from istc_replay.safety.walls import wall_margin
@@ -116,8 +116,7 @@ def _row(case: Case, row: int, body: Body | None, audit: AuditConfig) -> dict[st
 
 
 def _part(body: Body, times_ns: IntArray, states: FloatArray) -> Body:
-    period = float(np.median(np.diff(times_ns))) if times_ns.size > 1 else 0.0
-    return replace(body, track=replace(body.track, times_ns=times_ns, states=states, period_ns=period))
+    return replace(body, track=Track.of(times_ns, states, body.track.length_m, body.track.width_m))
 
 
 def _planned(case: Case, row: int, times_ns: IntArray) -> FloatArray:

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from istc_replay.config import AuditConfig, VehiclesConfig
 from istc_replay.datatypes import FloatArray
-from istc_replay.safety.recorded import Track
+from istc_replay.safety.recorded import GAP_PERIODS, Track
 from istc_replay.units import NS_PER_S
 
 IntArray = NDArray[np.int64]
@@ -69,7 +69,7 @@ class Body:
         after = np.clip(np.searchsorted(known, times_ns), 1, known.size - 1)
         step_s = (known[after] - known[after - 1]) / NS_PER_S
         # Around a gap nothing is interpolated: what is told there is a sample.
-        step_s = np.minimum(step_s, self.track.period_ns / NS_PER_S * 3.0)
+        step_s = np.minimum(step_s, self.track.period_ns / NS_PER_S * GAP_PERIODS)
         return np.asarray(acceleration_mps2 * step_s**2 / 8.0)
 
 
@@ -110,12 +110,11 @@ def _body(name: str, rows: pl.DataFrame, vehicles: VehiclesConfig) -> Body:
     ]
     times = rows["time_ns"].to_numpy().astype(np.int64)
     columns = ("x_m", "y_m", "heading_rad", "speed_mps")
-    track = Track(
+    track = Track.of(
         times_ns=times,
         states=np.column_stack([_floats(rows[key]) for key in columns]),
         length_m=size[0],
         width_m=size[1],
-        period_ns=float(np.median(np.diff(times))) if times.size > 1 else 0.0,
     )
     return Body(
         name=name,

@@ -16,7 +16,7 @@ from istc_replay.safety.findings import Finding, judged_values
 from istc_replay.safety.pair_samples import Encroachments, Pairs
 from istc_replay.safety.relation import CONFLICT_TYPES, conflict_angle, conflict_type, delta_v
 from istc_replay.safety.rules import SEVERITIES
-from istc_replay.units import NS_PER_S
+from istc_replay.units import NS_PER_S, median_step
 
 IntArray = NDArray[np.int64]
 
@@ -70,7 +70,7 @@ def encounter_rows(
         rule: judged_values(pairs, rule, audit)
         for rule in ("ttc", "drac", "required_deceleration", "thw", "rss")
     }
-    period_s = float(np.median(np.diff(times_ns))) / NS_PER_S if times_ns.size > 1 else 0.0
+    period_s = median_step(times_ns) / NS_PER_S
     left_keys, pair_keys = left.key, pairs.key
     keys = [group.bodies[0] * (1 << 32) + group.bodies[1] for group in groups]
     starts, ends = (np.searchsorted(pair_keys, keys, side=side) for side in ("left", "right"))

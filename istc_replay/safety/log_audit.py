@@ -44,7 +44,7 @@ from istc_replay.states import (
     FINDINGS_SCHEMA,
     conform,
 )
-from istc_replay.units import NS_PER_S
+from istc_replay.units import NS_PER_S, median_step
 
 IntArray = NDArray[np.int64]
 
@@ -125,7 +125,7 @@ def audit_log(
     audit = config.audit
     bodies = recorded_bodies(log.states, config.vehicles)
     times = common_times(bodies, audit)
-    period_ns = float(np.median(np.diff(times))) if times.size > 1 else 0.0
+    period_ns = median_step(times)
     motions = [smoothed_motion(body, audit) for body in bodies]
     pairs, left = sample_pairs(bodies, times, audit)
     pairs = with_turning(pairs, bodies, motions, audit)

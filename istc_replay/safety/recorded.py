@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 
 from istc_replay.datatypes import FloatArray, RecordedGap
 from istc_replay.safety.boxes import box_gap
-from istc_replay.units import NS_PER_S, wrap_angle
+from istc_replay.units import NS_PER_S, median_step, wrap_angle
 
 IntArray = NDArray[np.int64]
 
 #: A pause of more than this many median sample periods is a gap.
-_GAP_PERIODS = 3
+GAP_PERIODS = 3
 #: Common times are no closer than this, and no more than this many.
 _LEAST_SPACING_NS = 1_000_000
 _MOST_TIMES = 50_000
@@ -36,6 +36,11 @@ class Track:
     width_m: float
     period_ns: float
 
+    @classmethod
+    def of(cls, times_ns: IntArray, states: FloatArray, length_m: float, width_m: float) -> Track:
+        """A track of the samples, with their median period."""
+        return cls(times_ns, states, length_m, width_m, median_step(times_ns))
+
     def at(self, times_ns: IntArray) -> FloatArray:
         """(n, 4) states at the times, linear between samples; NaN outside and across gaps."""
         known = self.times_ns
@@ -52,7 +57,7 @@ class Track:
         inside = (times_ns >= known[0]) & (times_ns <= known[-1])
         at_sample = (share[:, 0] == 0.0) | (share[:, 0] == 1.0)
         return np.where(
-            (inside & (at_sample | (span <= _GAP_PERIODS * self.period_ns)))[:, None], states, np.nan
+            (inside & (at_sample | (span <= GAP_PERIODS * self.period_ns)))[:, None], states, np.nan
         )
 
     def sampling_bound_m(self, time_ns: int, acceleration_mps2: float) -> float:
@@ -82,12 +87,11 @@ def recorded_tracks(states: pl.DataFrame, *, vehicles_only: bool = True) -> dict
     for (vehicle_id,), rows in states.partition_by("vehicle_id", as_dict=True).items():
         times, first = np.unique(rows["time_ns"].to_numpy().astype(np.int64), return_index=True)
         columns = ("x_m", "y_m", "heading_rad", "speed_mps")
-        tracks[str(vehicle_id)] = Track(
+        tracks[str(vehicle_id)] = Track.of(
             times_ns=times,
             states=np.column_stack([rows[name].cast(pl.Float64).to_numpy()[first] for name in columns]),
             length_m=_largest(rows["length_m"].to_numpy()[first]),
             width_m=_largest(rows["width_m"].to_numpy()[first]),
-            period_ns=float(np.median(np.diff(times))) if times.size > 1 else 0.0,
         )
     return dict(sorted(tracks.items()))
 

@@ -13,7 +13,7 @@ from istc_replay.datatypes import SOUND, FloatArray, Frame, Result, WindowStatus
 from istc_replay.errors import ConfigError, UsageError
 from istc_replay.export.figures.style import VehicleStyle, vehicle_styles
 from istc_replay.geometry import box_corners, to_map
-from istc_replay.units import NS_PER_S
+from istc_replay.units import NS_PER_S, median_step
 
 #: Only these windows have a plan to show.
 PLANNED = (*SOUND, WindowStatus.NOT_CERTIFIED)
@@ -41,7 +41,7 @@ class Track:
     @property
     def longest_step_s(self) -> float:
         """Steps longer than this are gaps: three times the median step."""
-        return 3.0 * float(np.median(np.diff(self.times_s))) if len(self.times_s) > 1 else 0.0
+        return 3.0 * median_step(self.times_s)
 
     def at(self, times_s: FloatArray) -> FloatArray:
         """Poses (T, 3) at given times, linear between samples, NaN outside and in gaps."""
