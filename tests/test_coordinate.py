@@ -12,7 +12,7 @@ import pytest
 from istc_replay.config import Config
 from istc_replay.datatypes import Log, WindowPlan, WindowStatus
 
-from .support.planning import FAST, planned, replayed
+from .support.planning import FAST, map_motion, planned, replayed
 from .support.tracks import BUSY, driver, log_of, turned
 
 
@@ -22,14 +22,6 @@ def busy_plan() -> WindowPlan:
     plan = planned(BUSY)
     assert [t.vehicle_id for t in plan.trajectories] == ["1", "2", "3", "4"]
     return plan
-
-
-def map_motion(plan: WindowPlan) -> dict[str, np.ndarray]:
-    """Planned rear axles (S, 2) in the map frame."""
-    frame = plan.scenario.window.frame
-    c, s = np.cos(frame.yaw_rad), np.sin(frame.yaw_rad)
-    turn = np.array([[c, -s], [s, c]])
-    return {t.vehicle_id: t.states[:, :2] @ turn.T + (frame.x_m, frame.y_m) for t in plan.trajectories}
 
 
 @pytest.mark.parametrize("angle_deg", [23.0, 45.0, 131.0, -78.0])

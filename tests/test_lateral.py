@@ -11,9 +11,8 @@ import polars as pl
 import pytest
 import shapely
 
-from istc_replay.config import Config, parse_config
-from istc_replay.coordinate import Planners, plan_part
-from istc_replay.datatypes import LaneLine, Log, RoadEdge, StaticScene, Verdict, WindowPlan, read_only
+from istc_replay.config import parse_config
+from istc_replay.datatypes import LaneLine, Log, RoadEdge, StaticScene, Verdict, read_only
 from istc_replay.geometry import box_corners
 from istc_replay.lateral import PATH, RECORDING, ROAD, kinds, lateral, lateral_bound
 from istc_replay.pipeline.assembly import Replay
@@ -21,9 +20,8 @@ from istc_replay.pipeline.replay import replay_read
 from istc_replay.polyline import beside
 from istc_replay.road import Road
 from istc_replay.safety.certificate import certify
-from istc_replay.windows import log_parts, settled_config
 
-from .support.planning import FAST, replayed
+from .support.planning import FAST, map_motion, planned, replayed
 from .support.tracks import driver, log_of
 
 BOX = (4.5, 1.8)
@@ -175,7 +173,7 @@ def test_a_turned_and_shifted_log_with_its_lanes_has_the_same_plan(
     )
     edges = tuple(replace(edge, points_m=moved(edge.points_m)) for edge in log.scene.road_edges)
     other = replace(log, states=states, scene=StaticScene(lanes, road_edges=edges))
-    plans = [plan_of(each) for each in (log, other)]
+    plans = [planned(each) for each in (log, other)]
     motions = [map_motion(plan) for plan in plans]
     assert motions[0].keys() == motions[1].keys() == {"1", "2"}
     for name, motion in motions[0].items():
@@ -231,17 +229,3 @@ def test_a_handed_over_plan_is_measured_from_the_recorded_path() -> None:
     start = float(planned.filter(pl.col("window") == 1).sort("time_ns")["y_m"][0])
     assert start > 0.2
     assert told(second)["1"]["excursion_m"] >= start - 0.03
-
-
-def plan_of(log: Log, config: Config = FAST) -> WindowPlan:
-    """The plan of the log's first window."""
-    settled = settled_config(log, config)
-    return plan_part(next(log_parts(log, settled)), settled, Planners(settled))
-
-
-def map_motion(plan: WindowPlan) -> dict[str, np.ndarray]:
-    """Planned rear axles (S, 2) in the map frame."""
-    frame = plan.scenario.window.frame
-    c, s = np.cos(frame.yaw_rad), np.sin(frame.yaw_rad)
-    turn = np.array([[c, -s], [s, c]])
-    return {t.vehicle_id: t.states[:, :2] @ turn.T + (frame.x_m, frame.y_m) for t in plan.trajectories}

@@ -10,11 +10,11 @@ import polars as pl
 import pytest
 
 import istc_replay
-from istc_replay.datatypes import Log, MapBounds, StaticScene, WindowPlan, WindowStatus, read_only
+from istc_replay.datatypes import Log, MapBounds, StaticScene, WindowStatus, read_only
 from istc_replay.ingest.log import read_log
 from istc_replay.pipeline.replay import replay_log
 
-from ..support.planning import FAST, planned
+from ..support.planning import FAST, map_motion, planned
 
 SAMPLE_LOGS = Path(__file__).resolve().parents[2] / "sample_logs"
 TURN_FIRST = SAMPLE_LOGS / "intersection_turn_first.mcap"
@@ -45,12 +45,6 @@ def moved(log: Log, quarter_turns: int, shift_m: tuple[float, float], names: dic
     return replace(log, states=states, scene=scene)
 
 
-def map_motion(plan: WindowPlan) -> dict[str, np.ndarray]:
-    """Planned rear axles (S, 2) in the map frame, by vehicle."""
-    frame = plan.scenario.window.frame
-    return {t.vehicle_id: t.states[:, :2] + (frame.x_m, frame.y_m) for t in plan.trajectories}
-
-
 @pytest.mark.parametrize("quarter_turns", [0, 1, 2, 3])
 def test_a_moved_turned_and_renamed_log_has_the_same_plan(quarter_turns: int) -> None:
     log = read_log(TURN_FIRST)
@@ -60,6 +54,7 @@ def test_a_moved_turned_and_renamed_log_has_the_same_plan(quarter_turns: int) ->
     other = map_motion(planned(moved(log, quarter_turns, shift, names)))
     c, s = ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[quarter_turns]
     turn = np.array([[c, -s], [s, c]])
+    assert original.keys() == names.keys()
     for vehicle, motion in original.items():
         np.testing.assert_allclose(other[names[vehicle]], motion @ turn.T + shift, atol=5e-3)
 

@@ -59,6 +59,23 @@ def test_the_promised_gap_is_held_to_the_tolerance(short_m: float, verdict: Verd
     assert check.margin == pytest.approx(-short_m, abs=1e-12)
 
 
+@pytest.mark.parametrize("kept", [None, 0.05, -1.0, np.nan, "0", True])
+@pytest.mark.parametrize(("of", "promise"), [("vehicle", 0.3), ("obstacle", 0.2)])
+def test_gaps_are_those_of_the_summary_and_where_it_promises_none_of_the_settings(
+    of: str, promise: float, kept: Any
+) -> None:
+    # 4 m above the car a second one, and 4 m below it a wall; the cubes are 0.1 m from both.
+    cars = [straight_car("a", 0, 0, 0.0, 5.0, 5), straight_car("b", 0, 4, 0.0, 5.0, 5)]
+    cubes = {"a": np.array([[-5.0, 10.0, -2.0, 1.9]]), "b": np.array([[-5.0, 10.0, 2.0, 6.0]])}
+    result = Scene(cars, cubes=cubes, obstacles={"wall": np.array([[-9.0, 20.0, -4.0, -2.1]])}).result()
+    window = result.summary["windows"][0] | {f"{of}_gap_m": kept}
+    checks = judge(replace(result, summary={"windows": [window]}))
+    check = checks["cubes_disjoint" if of == "vehicle" else "obstacles_clear"]
+    held = kept if kept == 0.05 else promise
+    assert check.margin == pytest.approx(0.1 - held, abs=1e-9)
+    assert check.verdict == (PASS if held < 0.1 else FAIL)
+
+
 def test_cubes_that_do_not_overlap_enough_are_found() -> None:
     car = straight_car("a", 0, 0, 0.0, 5.0, 10)
     walls = car.hulls(1.0, 0.0)

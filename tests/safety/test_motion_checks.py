@@ -130,6 +130,17 @@ def test_the_speed_limit_rises_with_the_recorded_speed() -> None:
     assert check.margin == pytest.approx(11.35 - 12.0)
 
 
+def test_who_was_recorded_fast_before_the_window_may_not_be_fast_in_it() -> None:
+    fast = Scene([straight_car("a", 0, 0, 0, 12.0, 10)]).result()
+    slow = edited(fast, "states", pl.col("source") == "recorded", speed_mps=9.0)
+    start_ns = fast.summary["windows"][0]["start_ns"]
+    earlier = slow.states.filter(pl.col("source") == "recorded").head(1)
+    earlier = earlier.with_columns(time_ns=pl.lit(start_ns - NS), speed_mps=pl.lit(20.0))
+    check = judge(replace(slow, states=pl.concat([slow.states, earlier])))["limits"]
+    assert check.verdict == FAIL
+    assert check.margin == pytest.approx(11.35 - 12.0)
+
+
 def test_driving_backwards_is_found() -> None:
     checks = judge(Scene([straight_car("a", 0, 0, 0, -0.1, 10)]).result())
     assert failed(checks) == {"limits"}

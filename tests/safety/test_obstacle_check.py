@@ -51,12 +51,33 @@ def test_an_obstacle_that_is_gone_for_one_time_unit_is_found() -> None:
 
 
 @pytest.mark.parametrize(("shift", "verdict"), [(0.0, Verdict.PASS), (6.0, Verdict.FAIL)])
-def test_road_users_that_stay_as_recorded_are_in_their_boxes(shift: float, verdict: Verdict) -> None:
+@pytest.mark.parametrize(
+    ("left", "reason"), [("exclusions", "not_a_vehicle"), ("exclusions", "parked"), ("frozen", "no_relation")]
+)
+def test_road_users_that_stay_as_recorded_are_in_their_boxes(
+    left: str, reason: str, shift: float, verdict: Verdict
+) -> None:
     result = result_of({"walker": HULL}, ())
     walker = result.states.filter(pl.col("source") == "recorded").with_columns(
         vehicle_id=pl.lit("walker"), x_m=pl.lit(5.0 + shift), y_m=pl.lit(-4.0), role=pl.lit("pedestrian")
     )
-    left_out = [{"vehicle_id": "walker", "reason": "not_a_vehicle", "detail": ""}]
-    window = {**result.summary["windows"][0], "exclusions": left_out}
+    left_out = [{"vehicle_id": "walker", "reason": reason, "detail": ""}]
+    window = {**result.summary["windows"][0], left: left_out}
     changed = replace(result, states=pl.concat([result.states, walker]), summary={"windows": [window]})
     assert check(changed).verdict == verdict
+
+
+@pytest.mark.parametrize("out", [0.0, 5.0])
+def test_a_road_user_is_in_its_box_at_the_first_and_the_last_instant_too(out: float) -> None:
+    result = result_of({"walker": HULL}, ())
+    start_ns = result.summary["windows"][0]["start_ns"]
+    edge = start_ns + round(out * 1e9)
+    walker = result.states.filter(pl.col("source") == "recorded").with_columns(
+        vehicle_id=pl.lit("walker"),
+        x_m=pl.when(pl.col("time_ns") == edge).then(50.0).otherwise(5.0),
+        y_m=pl.lit(-4.0),
+    )
+    frozen = [{"vehicle_id": "walker", "reason": "no_relation", "detail": ""}]
+    window = {**result.summary["windows"][0], "frozen": frozen}
+    found = check(replace(result, states=pl.concat([result.states, walker]), summary={"windows": [window]}))
+    assert (found.verdict, found.vehicles, found.time_s) == (Verdict.FAIL, ("walker",), out)

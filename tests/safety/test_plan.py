@@ -11,7 +11,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from istc_replay.datatypes import Result
+from istc_replay.datatypes import Result, Verdict
 from istc_replay.safety.certificate import certify, overall
 
 from ..support.judged import (
@@ -64,10 +64,19 @@ def test_a_vehicle_that_only_the_summary_knows_is_found(good: Result) -> None:
     window = good.summary["windows"][0] | {"vehicles": [{"id": "a"}, {"id": "ghost"}]}
     checks = judge(replace(good, summary={"windows": [window]}))
     assert checks["complete"].vehicles == ("ghost",)
-    window["vehicles"] = [{"id": "a", "first_unit": 0, "units": 4}]
-    assert judge(replace(good, summary={"windows": [window]}))["complete"].vehicles == ("a",)
-    window["vehicles"] = [{"id": "a", "first_unit": 0, "units": 5}]
-    assert judge(replace(good, summary={"windows": [window]}))["complete"].verdict == PASS
+
+
+@pytest.mark.parametrize(
+    ("first_unit", "units", "verdict"),
+    [(0, 5, PASS), (0, 4, FAIL), (0, 6, FAIL), (1, 5, FAIL), (-1, 5, FAIL)],
+)
+def test_a_corridor_has_the_units_that_the_summary_promises(
+    good: Result, first_unit: int, units: int, verdict: Verdict
+) -> None:
+    listed = [{"id": "a", "first_unit": first_unit, "units": units}]
+    window = good.summary["windows"][0] | {"vehicles": listed}
+    check = judge(replace(good, summary={"windows": [window]}))["complete"]
+    assert (check.verdict, check.vehicles) == (verdict, () if verdict == PASS else ("a",))
 
 
 @pytest.mark.parametrize("value", [None, np.nan, np.inf])
@@ -104,8 +113,8 @@ def test_a_malformed_cube_is_found(good: Result, values: dict[str, Any]) -> None
     checks = judge(edited(good, "corridors", cube("b", 2), **values))
     assert checks["complete"].verdict == FAIL
     assert "b" in checks["complete"].vehicles
-    assert checks["cubes_disjoint"].verdict == INCONCLUSIVE
-    assert checks["in_corridor"].verdict == INCONCLUSIVE
+    for name in ("cubes_disjoint", "obstacles_clear", "in_bounds", "in_corridor"):
+        assert (name, checks[name].verdict) == (name, INCONCLUSIVE)
 
 
 CELLS = st.one_of(

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
+
 from istc_replay.config import Config
 from istc_replay.coordinate import Planners, plan_part
 from istc_replay.datatypes import Log, WindowPlan
@@ -30,3 +32,11 @@ def replayed(log: Log, config: Config = FAST) -> tuple[Replay, dict[str, Any]]:
     done = replay_read(log, config)
     (window,) = done.summary["windows"]
     return done, window
+
+
+def map_motion(plan: WindowPlan) -> dict[str, np.ndarray]:
+    """Planned rear axles (S, 2) in the map frame, by vehicle."""
+    frame = plan.scenario.window.frame
+    c, s = np.cos(frame.yaw_rad), np.sin(frame.yaw_rad)
+    turn = np.array([[c, -s], [s, c]])
+    return {t.vehicle_id: t.states[:, :2] @ turn.T + (frame.x_m, frame.y_m) for t in plan.trajectories}
