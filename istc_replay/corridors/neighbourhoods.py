@@ -121,7 +121,9 @@ def _in_the_way(
     return (name, *(problem.blocks[w].vehicle_id for w in sorted(met)[:1]))
 
 
-def improve(problem: CorridorProblem, z: FloatArray, node_budget: int) -> tuple[FloatArray, int]:
+def improve(
+    problem: CorridorProblem, z: FloatArray, node_budget: int, together: int = TOGETHER
+) -> tuple[FloatArray, int]:
     """Plan few vehicles anew beside all others, costliest first, until none gives a better solution.
 
     Parameters
@@ -132,6 +134,8 @@ def improve(problem: CorridorProblem, z: FloatArray, node_budget: int) -> tuple[
         A solution.
     node_budget : int
         Largest number of QPs.
+    together : int
+        Most vehicles that move at once; all others are held where they are.
 
     Returns
     -------
@@ -142,7 +146,7 @@ def improve(problem: CorridorProblem, z: FloatArray, node_budget: int) -> tuple[
     for _ in range(_SWEEPS):
         before = problem.reference_cost(z)
         for size in _NEIGHBOURHOOD_NODES:
-            z, more = _sweep(problem, qp, z, size, node_budget - nodes)
+            z, more = _sweep(problem, qp, z, size, node_budget - nodes, together)
             nodes += more
         settled = polish(problem, problem.separations.best(z))
         if settled is not None and problem.reference_cost(settled) < problem.reference_cost(z):
@@ -153,7 +157,7 @@ def improve(problem: CorridorProblem, z: FloatArray, node_budget: int) -> tuple[
 
 
 def _sweep(
-    problem: CorridorProblem, qp: PivotQp, z: FloatArray, size: int, node_budget: int
+    problem: CorridorProblem, qp: PivotQp, z: FloatArray, size: int, node_budget: int, together: int
 ) -> tuple[FloatArray, int]:
     """Neighbourhoods of one size."""
     tried: set[Group] = set()
@@ -164,7 +168,7 @@ def _sweep(
         part = _costliest_part(problem, z, costs, size, tried)
         if part is None:
             break
-        moving = _moving(part, costs, _meetings(problem, z, everyone))
+        moving = _moving(part, costs, _meetings(problem, z, everyone), together=together)
         kept = _kept(problem, z, part, moving)
         view = qp.beside(z, tuple(sorted(moving)))
         most = sum(costs[v] for v in moving) * (1.0 - BETTER)

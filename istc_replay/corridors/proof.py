@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from istc_replay.corridors import cbc, joint_tree
+from istc_replay.corridors import cbc, joint_tree, neighbourhoods
 from istc_replay.corridors.incumbent import Search
 from istc_replay.corridors.joint_tree import QP_ROUNDING
 from istc_replay.corridors.miqp import MilpModel, build_milp
@@ -57,6 +57,20 @@ def bound_by_parts(search: Search) -> None:
         search.bound = max(search.bound, (1.0 - share) * reference_bound + rest)
     known = np.isfinite(search.bound)
     search.record("relaxation", "piqp", SolveStatus.FEASIBLE if known else SolveStatus.ERROR, began)
+
+
+def improve(search: Search, config: CorridorsConfig) -> None:
+    """Make a plan that no tree has searched better: one vehicle or two anew, all others held."""
+    if search.z is None or search.exhausted:
+        return
+    began = time.perf_counter()
+    problem = search.problem
+    least = problem.least_cubes(search.z)
+    refined, nodes = neighbourhoods.improve(problem, least, config.tree_proof_node_budget // 2, together=2)
+    search.offer(polish(problem, problem.separations.best(refined)), "neighbourhoods")
+    search.record(
+        "neighbourhoods", "daqp, piqp", SolveStatus.FEASIBLE, began, objective=search.objective, nodes=nodes
+    )
 
 
 def prove_jointly(search: Search, config: CorridorsConfig, *, quick: bool = False) -> None:

@@ -133,6 +133,7 @@ def _prove(search: Search, scenario: Scenario, config: CorridorsConfig) -> None:
     if not len(problem.separations) or (scenario.traffic and problem.binaries > config.proof_binaries_max):
         return
     if not paper and search.z is not None:
+        proof.improve(search, config)
         proof.prove_jointly(search, config)
         if search.closed(config.gap_tolerance):
             return

@@ -64,6 +64,20 @@ def test_neighbourhoods_bring_a_plan_to_within_a_tenth_of_the_optimum(
     assert problem.reference_cost(improved) <= 1.1 * optimum + 1e-6
 
 
+@pytest.mark.parametrize("together", [1, 2])
+@pytest.mark.parametrize("seed", [2, 5, 7])
+def test_two_vehicles_beside_all_others_make_a_plan_better_and_leave_no_conflict(
+    seed: int, together: int, crossing: Callable[..., Any]
+) -> None:
+    problem = crossing(seed, vehicles=4, units=6).problem()
+    joined, _, _ = join(problem, alone(problem), [3, 2, 1, 0])
+    assert joined is not None
+    improved, nodes = improve(problem, joined, 300, together)
+    assert nodes <= 300 + 120
+    assert conflict(problem, improved) <= 1e-5
+    assert problem.reference_cost(improved) < problem.reference_cost(joined)
+
+
 def test_an_optimum_is_left_as_it_is(crossing: Callable[..., Any]) -> None:
     problem = crossing(2, vehicles=3, units=5).problem()
     best = search(problem, 8000)
