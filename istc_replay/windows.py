@@ -79,12 +79,15 @@ def check_states(log: Log) -> None:
 
 
 def is_traffic(log: Log, config: WindowConfig) -> bool:
-    """Whether a log is recorded traffic: nothing of a scene is told, and someone is fast."""
+    """Whether a log is recorded traffic: nobody's intent, priority or bounds are told, and someone is fast.
+
+    Standing obstacles decide nothing: they stand beside any road.
+    """
     if config.rules != "auto":
         return config.rules == "traffic"
     scene = log.scene
     intended = any(line.vehicle_id for line in scene.lane_lines)
-    if intended or scene.obstacles or scene.vehicles or scene.bounds is not None:
+    if intended or scene.vehicles or scene.bounds is not None:
         return False
     speeds = log.states["speed_mps"].drop_nulls()
     speeds = speeds.filter(speeds.is_finite())

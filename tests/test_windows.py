@@ -2,9 +2,17 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from pathlib import Path
+
+import polars as pl
+import pytest
+
 from istc_replay.config import Config, parse_config, render_config
+from istc_replay.datatypes import LaneLine, MapBounds, SceneObstacle, StaticScene, VehicleInfo, read_only
+from istc_replay.ingest.log import read_log
 from istc_replay.scenario import build_scenarios
-from istc_replay.windows import settled_config
+from istc_replay.windows import is_traffic, settled_config
 
 from .support.tracks import driver, log_of
 
@@ -14,6 +22,45 @@ def test_a_slow_log_is_a_scene_and_a_fast_one_traffic() -> None:
     assert [next(iter(build_scenarios(log, Config()))).traffic for log in (slow, fast)] == [False, True]
     by_name = next(iter(build_scenarios(fast, Config.model_validate({"window": {"rules": "scene"}}))))
     assert (by_name.traffic, by_name.window.unit_s) == (False, 1.0)
+
+
+@pytest.mark.parametrize("standing", [0, 1, 40])
+def test_standing_obstacles_make_no_scene_of_fast_traffic_and_are_planned_around(standing: int) -> None:
+    poles = tuple(SceneObstacle(f"pole {n}", 8.0 * n, 4.0, 0.0, 0.3, 0.3) for n in range(standing))
+    log = log_of(driver("1"), driver("2", ahead_m=20.0), scene=StaticScene(obstacles=poles))
+    assert is_traffic(log, Config().window)
+    (scenario,) = build_scenarios(log, Config())
+    assert (scenario.traffic, len(scenario.participants)) == (True, 2)
+    assert {o.obstacle_id for o in scenario.obstacles} == {pole.obstacle_id for pole in poles}
+    slow = replace(log, states=log.states.with_columns(speed_mps=pl.lit(5.0)))
+    assert not is_traffic(slow, Config().window)
+
+
+@pytest.mark.parametrize("told", ["intent", "priority", "bounds"])
+def test_what_is_told_of_a_scene_makes_one_of_fast_driving_too(told: str) -> None:
+    scene = {
+        "intent": StaticScene(lane_lines=(LaneLine("lane", read_only([[0.0, 0.0], [50.0, 0.0]], 2), "1"),)),
+        "priority": StaticScene(vehicles=(VehicleInfo("1", priority=2.0),)),
+        "bounds": StaticScene(bounds=MapBounds(-100.0, 200.0, -50.0, 50.0)),
+    }[told]
+    assert not is_traffic(log_of(driver("1"), scene=scene), Config().window)
+
+
+THIRD_PARTY = (
+    *("USA_Lanker-1_1_T-1", "USA_Peach-4_8_T-1", "USA_US101-3_3_T-1", "USA_US101-4_1_T-1"),
+    *("acc-test", "alks_cut-in", "pedestrian", "sumo_rbl_fcd"),
+)
+
+
+@pytest.mark.parametrize("name", THIRD_PARTY)
+def test_recordings_from_elsewhere_are_traffic_whatever_stands_beside_the_road(
+    shared_logs: Path, name: str
+) -> None:
+    log = read_log(shared_logs / f"third_party/{name}.mcap")
+    pole = SceneObstacle("pole", 1e4, 1e4, 0.0, 0.3, 0.3)
+    beside = replace(log, scene=replace(log.scene, obstacles=(*log.scene.obstacles, pole)))
+    assert is_traffic(log, Config().window)
+    assert is_traffic(beside, Config().window)
 
 
 def test_settings_of_traffic_are_taken_where_none_are_set_and_settled_ones_stay() -> None:

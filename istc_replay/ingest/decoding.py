@@ -12,7 +12,7 @@ from istc_replay.ingest.batches import Batch, Bytes, Ints
 from istc_replay.ingest.channels import Format, recognise
 from istc_replay.ingest.columns import Block, Gatherer, Payloads
 from istc_replay.ingest.istc import SceneReader
-from istc_replay.ingest.meaning import Names
+from istc_replay.ingest.meaning import Names, texts_for_numbers
 from istc_replay.ingest.payload import PAYLOAD_LIMIT, Budget, PayloadError, TooManyItemsError
 from istc_replay.ingest.problems import Problems, quoted
 from istc_replay.ingest.readers import Reader, Readers
@@ -211,6 +211,8 @@ class Decoding:
         decoded = reader.decode(data, starts, ends)
         for row, error in decoded.bad:
             self._tell(error, payloads, int(rows[row]))
+        for name, own in texts_for_numbers(decoded):
+            self._tell_texts(name, payloads, rows[own])
         texts, topics = self.names.texts, payloads.topics
         states = reader.meaning.states(decoded, lambda own: texts[topics[rows[own[0]]]])
         states.rows = rows[states.rows]
@@ -261,6 +263,14 @@ class Decoding:
         topic, index = self.names.texts[payloads.topics[row]], int(payloads.indexes[row])
         detail = f"message {index} on {quoted(topic)} is left out: {error}"
         self._problems.add(error.code, detail, int(payloads.offsets[row]), topic)
+
+    def _tell_texts(self, leaf: str, payloads: Payloads, rows: Ints) -> None:
+        for topic in np.unique(payloads.topics[rows]).tolist():
+            hit = rows[payloads.topics[rows] == topic]
+            name = self.names.texts[topic]
+            detail = f"{leaf} on {quoted(name)} is a text where a number is wanted; taken as unknown"
+            offset = int(payloads.offsets[hit[0]])
+            self._problems.add("not_a_number", detail, offset, f"{name}, {leaf}", len(hit))
 
     def _tell_refused(self, group: _Group, payloads: Payloads, rows: Ints) -> None:
         for topic in np.unique(payloads.topics[rows]).tolist():

@@ -12,7 +12,7 @@ from istc_replay.ingest.batches import Bytes, Ints, distinct
 from istc_replay.ingest.json_form import Commas, Form
 from istc_replay.ingest.json_lines import read_lines
 from istc_replay.ingest.layout import Column, Decoded, joined
-from istc_replay.ingest.meaning import number_name
+from istc_replay.ingest.meaning import is_number, number_name
 from istc_replay.ingest.payload import ITEMS_AT_ONCE, PayloadError, TooManyItemsError
 from istc_replay.ingest.wanted import Mapping, Node, tree
 
@@ -38,11 +38,13 @@ class JsonDecoder:
         """Decode the payloads that these spans of data hold."""
         parts, left = self._by_forms(data, starts, ends)
         bad: list[tuple[int, PayloadError]] = []
+        texts: list[tuple[str, Ints]] = []
         if len(left):
             rest = self._parsed(_cut(data, starts[left], ends[left]))
             parts.append((left[rest.rows], rest.columns))
             bad = [(int(left[row]), error) for row, error in rest.bad]
-        return _together(parts, bad)
+            texts = [(name, left[rows]) for name, rows in rest.texts]
+        return _together(parts, bad, texts)
 
     def _by_forms(
         self, data: Bytes, starts: Ints, ends: Ints
@@ -107,8 +109,14 @@ class JsonDecoder:
             if len(found) > ITEMS_AT_ONCE and len(payloads) > 1:
                 raise TooManyItemsError(max(row, 1))
         names = sorted({name for item in found for name in item})
-        columns = {name: _column(name, [item.get(name) for item in found]) for name in names}
-        return Decoded(np.array(rows, np.int64), columns, bad)
+        columns, texts = {}, []
+        for name in names:
+            values = [item.get(name) for item in found]
+            columns[name] = _column(name, values)
+            if is_number(name):
+                odd = [row for row, value in zip(rows, values, strict=True) if isinstance(value, str)]
+                texts += [(name, np.array(odd, np.int64))] if odd else []
+        return Decoded(np.array(rows, np.int64), columns, bad, tuple(texts))
 
     def _values(self, value: dict[str, Any]) -> Iterator[dict[str, Any]]:
         header: dict[str, Any] = {}
@@ -214,7 +222,11 @@ def _is_whole(name: str) -> bool:
     return _target(name) in _WHOLE
 
 
-def _together(parts: list[tuple[Ints, dict[str, Column]]], bad: list[tuple[int, PayloadError]]) -> Decoded:
+def _together(
+    parts: list[tuple[Ints, dict[str, Column]]],
+    bad: list[tuple[int, PayloadError]],
+    texts: list[tuple[str, Ints]],
+) -> Decoded:
     """Join what was decoded apart, in the order of the payloads; a payload's items stay in theirs."""
     rows = np.concatenate([np.zeros(0, np.int64), *(own for own, _ in parts)])
     turn = np.argsort(rows, kind="stable")
@@ -222,11 +234,14 @@ def _together(parts: list[tuple[Ints, dict[str, Column]]], bad: list[tuple[int, 
     for name in sorted({name for _, own in parts for name in own}):
         told = [own.get(name) or _unknown(len(of)) for of, own in parts]
         if _target(name) not in _TEXTS:
+            if is_number(name):
+                odd = [own[name].texts_at(of) for of, own in parts if name in own]
+                texts += [(name, at) for at in odd if len(at)]
             told = [column if column.texts is None else _unknown(len(column.values)) for column in told]
         elif any(column.texts is not None for column in told):
             told = [column if column.texts is not None else _as_texts(column) for column in told]
         columns[name] = joined(told, turn) if len(told) > 1 else told[0]
-    return Decoded(rows[turn], columns, bad)
+    return Decoded(rows[turn], columns, bad, tuple(texts))
 
 
 def _name(value: Any) -> str:

@@ -57,17 +57,25 @@ class Column(NamedTuple):
     valid: NDArray[np.bool_] | None = None
     texts: list[Any] | None = None
 
+    def texts_at(self, rows: Ints) -> Ints:
+        """The rows (m,) of which it tells texts."""
+        if self.texts is None:
+            return rows[:0]
+        return rows if self.valid is None else rows[self.valid]
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Decoded:
     """Items of many payloads: the payload's row of each (m,) in order, and the columns by name.
 
-    `bad` has the payloads that cannot be decoded, by row.
+    `bad` has the payloads that cannot be decoded, by row; `texts` the rows of payloads with a text in
+    place of a number, by name, as far as the column does not show it.
     """
 
     rows: Ints
     columns: dict[str, Column]
     bad: list[tuple[int, PayloadError]]
+    texts: tuple[tuple[str, Ints], ...] = ()
 
 
 class _Compiled:

@@ -31,6 +31,11 @@ PLAIN = (
     "wheelbase_m",
     "rear_axle_to_centre_m",
 )
+#: What is wanted as a number besides, by the first part of its name.
+_NUMBERS = frozenset(
+    (*PLAIN, "time", "time_ns", "time_s", "heading_deg", "latitude", "longitude")
+    + ("position", "orientation", "velocity", "acceleration")
+)
 #: Names of a vehicle's own frame that do not tell which vehicle.
 GENERIC_FRAMES = {"", "base_link", "base_footprint", "base", "body", "ego", "rear_axle"}
 #: A quaternion's norm may differ this much from 1.
@@ -229,6 +234,20 @@ def number(columns: dict[str, Column], name: str, count: int) -> tuple[Floats, N
         return np.zeros(count), np.zeros(count, np.bool_)
     valid = np.ones(count, np.bool_) if column.valid is None else column.valid
     return column.values.astype(np.float64, copy=False), valid
+
+
+def is_number(name: str) -> bool:
+    """Whether a leaf is wanted as a number."""
+    return name.partition(".")[0] in _NUMBERS
+
+
+def texts_for_numbers(decoded: Decoded) -> list[tuple[str, Ints]]:
+    """The leaves that have texts where numbers are wanted, with the rows of their payloads."""
+    columns = [(name, column) for name, column in decoded.columns.items() if is_number(name)]
+    return [
+        *decoded.texts,
+        *((name, at) for name, column in columns if len(at := column.texts_at(decoded.rows))),
+    ]
 
 
 def whole(columns: dict[str, Column], name: str, count: int) -> Ints:

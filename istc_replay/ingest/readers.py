@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Protocol
 
 import numpy as np
@@ -128,12 +128,12 @@ class Readers:
         for axis in "xyzw":
             column = columns[f"orientation.{axis}"]
             columns[f"orientation.{axis}"] = column._replace(valid=known != 0)
-        return Decoded(decoded.rows, columns, decoded.bad)
+        return replace(decoded, columns=columns)
 
 
 def _only(decoded: Decoded, index: Ints) -> Decoded:
     columns = {name: take(column, index) for name, column in decoded.columns.items()}
-    return Decoded(decoded.rows[index], columns, decoded.bad)
+    return replace(decoded, rows=decoded.rows[index], columns=columns)
 
 
 def _placed(decoded: Decoded) -> Decoded:
@@ -162,7 +162,7 @@ def _osi(decoded: Decoded) -> Decoded:
             values = np.where(own.valid, own.values, view.values)
             valid = None if view.valid is None else own.valid | view.valid
             columns[f"time.{unit}"] = Column(values, valid)
-    return Decoded(decoded.rows, columns, decoded.bad)
+    return replace(decoded, columns=columns)
 
 
 def _told_roles(columns: dict[str, Column], count: int) -> Ints:

@@ -24,6 +24,9 @@ from istc_replay.units import NS_PER_S, seconds_to_ns
 
 #: ROS 2 recorders note how long a publisher keeps what it said.
 _KEPT_BY_PUBLISHER = re.compile(r"durability:\s*(?:1|transient_local)\b")
+_SECONDS = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)")
+#: Where a log begins and ends that is not cut there; a file's times are not negative.
+_FIRST_NS, _LAST_NS = 0, 2**64
 _STANDING_SCHEMAS = {"istc.v1.Scene"}
 
 
@@ -74,30 +77,44 @@ def clip_log(
     """
     refuse_inputs(out, [source])
     log = open_log(source)
-    for _ in log.batches(nothing):
-        progress(log.position, 2 * log.size)
-    if log.start_ns is None or log.end_ns is None:
-        raise LogError(f"{source}: holds no messages; there is nothing to clip")
-    start_ns, end_ns = _limits(source, span, config, log.start_ns, log.end_ns)
+    walks = 1 + _counts_from_start(span)
+    first_ns = _start(log, progress) if walks > 1 else 0
+    start_ns, end_ns = _limits(source, span, config, first_ns)
     stands = cache(is_standing)
 
     def fill(copy: LogCopy) -> Sequence[str]:
         inside = before = 0
         for message in log.messages():
-            progress(log.size + log.position, 2 * log.size)
+            progress((walks - 1) * log.size + log.position, walks * log.size)
             within = start_ns <= message.log_time_ns < end_ns
             early = message.log_time_ns < start_ns and stands(message.channel)
             inside, before = inside + within, before + early
             if within or early:
                 copy.message(0, message)
+        if log.start_ns is None or log.end_ns is None:
+            raise LogError(f"{source}: holds no messages; there is nothing to clip")
+        told = max(start_ns, log.start_ns), min(end_ns, log.end_ns + 1)
         if not inside:
             raise UsageError(_empty(log, start_ns, end_ns))
         for channel in log.counts:
             copy.declare(0, channel)
         noted = [f"{before} messages from before the span that hold for the whole log are kept"]
-        return [f"log times {start_ns} to {end_ns} ns", *(noted if before else [])]
+        return [f"log times {told[0]} to {told[1]} ns", *(noted if before else [])]
 
     return write_copy(out, [log], log.profile, fill)
+
+
+def _start(log: LogFile, progress: Progress) -> int:
+    """Walk the log to learn where its time begins [ns]: what its summary says of that may be wrong."""
+    for _ in log.batches(nothing):
+        progress(log.position, 2 * log.size)
+    return log.start_ns or 0
+
+
+def _counts_from_start(span: Around | Between) -> bool:
+    """Tell whether a span says where it is by seconds from the log's start."""
+    moments = (span.moment,) if isinstance(span, Around) else (span.start, span.end)
+    return any(moment is not None and _SECONDS.fullmatch(moment.strip()) for moment in moments)
 
 
 def is_standing(channel: Channel) -> bool:
@@ -121,7 +138,7 @@ def moment_ns(text: str, start_ns: int) -> int:
     try:
         if given.endswith("ns"):
             return int(given[:-2])
-        if re.fullmatch(r"[+-]?(\d+\.?\d*|\.\d+)", given):
+        if _SECONDS.fullmatch(given):
             return start_ns + seconds_to_ns(float(given))
         when = datetime.fromisoformat(given)
         when = when if when.tzinfo else when.replace(tzinfo=UTC)
@@ -133,13 +150,11 @@ def moment_ns(text: str, start_ns: int) -> int:
         ) from None
 
 
-def _limits(
-    source: Path, span: Around | Between, config: Config, first_ns: int, last_ns: int
-) -> tuple[int, int]:
+def _limits(source: Path, span: Around | Between, config: Config, first_ns: int) -> tuple[int, int]:
     """Return where the span starts and ends, the end not included [ns]."""
     if isinstance(span, Between):
-        start_ns = first_ns if span.start is None else moment_ns(span.start, first_ns)
-        end_ns = last_ns + 1 if span.end is None else moment_ns(span.end, first_ns)
+        start_ns = _FIRST_NS if span.start is None else moment_ns(span.start, first_ns)
+        end_ns = _LAST_NS if span.end is None else moment_ns(span.end, first_ns)
         if start_ns >= end_ns:
             raise UsageError(f"the span from {start_ns} to {end_ns} ns is empty; --to must be after --from")
         return start_ns, end_ns

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from istc_replay.ingest.json_form import Form
 from istc_replay.ingest.json_text import JsonDecoder
+from istc_replay.ingest.layout import Decoded
 from istc_replay.ingest.wanted import Mapping
 
 from .conftest import decode, plain
@@ -116,6 +117,31 @@ def test_json_of_one_form_is_read_as_one_by_one(other: str) -> None:
         assert [row for row, _ in found.bad] == [row for row, _ in truth.bad]
         for name in truth.columns:
             assert plain(found, name) == pytest.approx(plain(truth, name), nan_ok=True), name
+        assert odd(found) == odd(truth)
+
+
+def odd(decoded: Decoded) -> dict[str, list[int]]:
+    """The rows with texts where numbers are wanted."""
+    return {
+        name: sorted(row for own, rows in decoded.texts if own == name for row in rows.tolist())
+        for name, _ in decoded.texts
+    }
+
+
+def test_texts_for_numbers_are_told_in_whichever_way_they_are_read() -> None:
+    lines = [
+        LINE,
+        LINE.replace("1.5", '"fast"'),
+        LINE.replace("1.5", "null"),
+        LINE.replace("1.5", '"7"'),
+        LINE,
+    ]
+    mapping = Mapping({"time": "stamp", "vehicle_id": "id", "x_m": "pose.x", "y_m": "last"})
+    for some in (lines, lines[:2], lines[1:2], [lines[1]] * 8, lines * 4):
+        payloads = [line.encode() for line in some]
+        wrong = [row for row, line in enumerate(some) if '"x": "' in line]
+        assert odd(decode(JsonDecoder(mapping), payloads)) == {"x_m": wrong}
+        assert odd(JsonDecoder(mapping)._exact(payloads)) == {"x_m": wrong}
 
 
 # --- by forms ------------------------------------------------------------------------------------

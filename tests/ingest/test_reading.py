@@ -40,6 +40,28 @@ def test_a_missing_heading_is_derived_from_the_way_and_held_while_standing(
     assert states["speed_mps"].to_list() == pytest.approx([5.0, 5.0, 2.5, 0.0, 0.0, 0.0])
 
 
+def test_a_text_for_a_number_is_unknown_and_told_once_a_channel_with_its_count(
+    topic: Any, write_log: Any, save: Any
+) -> None:
+    def values(wrong: int) -> list[dict[str, Any]]:
+        return [{"id": "a", "x": 1.0 * k, "y": 0.0, "v": "fast" if k < wrong else 10.0} for k in range(40)]
+
+    made = (json_topic(topic, values(wrong), name) for name, wrong in (("/s", 7), ("/t", 40), ("/u", 0)))
+    fields = 'vehicle_id = "id"\nx_m = "x"\ny_m = "y"\nspeed_mps = "v"\n'
+    log = read_log(
+        save(write_log(*made)),
+        parse_config("".join(f'[ingest.topics."/{name}".fields]\n{fields}' for name in "stu")),
+    )
+    told = {problem.detail for problem in log.problems if problem.code == "not_a_number"}
+    assert told == {
+        "speed_mps on '/s' is a text where a number is wanted; taken as unknown",
+        "speed_mps on '/t' is a text where a number is wanted; taken as unknown",
+        "6 more of this kind (/s, speed_mps)",
+        "39 more of this kind (/t, speed_mps)",
+    }
+    assert log.complete
+
+
 def test_a_vehicle_that_only_stands_has_no_heading(topic: Any, write_log: Any, save: Any) -> None:
     made = json_topic(topic, [{"id": "a", "x": 1.0 + 0.001 * k, "y": 2.0} for k in range(5)])
     states = read_log(save(write_log(made)), parse_config(FIELDS)).states

@@ -47,6 +47,27 @@ def test_a_clip_is_the_span_byte_for_byte(
     assert sorted(map(str, after.channels)) == sorted(map(str, before.channels))
 
 
+@pytest.mark.parametrize(
+    ("span", "walks"),
+    [
+        (Between("1", "2"), 2),
+        (Around(0.5, moment="3"), 2),
+        (Between(f"{T0_NS + 10**9}ns", None), 1),
+        (Around(0.5, moment="2023-11-14T22:13:22Z"), 1),
+        (Between(None, None), 1),
+    ],
+)
+def test_a_log_is_walked_twice_only_where_moments_count_from_its_start(
+    span: Around | Between, walks: int, source: Path, tmp_path: Path
+) -> None:
+    told: list[tuple[int, int]] = []
+    done = clip_log(source, tmp_path / "out.mcap", span, Config(), lambda *part: told.append(part))
+    size = source.stat().st_size
+    assert {total for _, total in told} == {walks * size}
+    assert all(position <= total for position, total in told)
+    assert done.messages > 0
+
+
 def test_a_clip_around_a_moment_has_its_margin_on_both_sides(
     source: Path, contents: Any, tmp_path: Path
 ) -> None:
