@@ -17,7 +17,7 @@ def read_scene(path: Path) -> SceneFile:
     ------
     LogError
         If the file cannot be read, or is larger than 16 MiB.
-    ConfigError
+    ScenarioError
         If it does not have the form of schemas/scene.schema.json.
     """
     try:

@@ -14,7 +14,6 @@ import polars as pl
 import pytest
 
 from istc_replay.config import Config
-from istc_replay.datatypes import Log, StaticScene
 from istc_replay.errors import ExportError
 from istc_replay.export.audit import (
     audit_exit_code,
@@ -29,7 +28,9 @@ from istc_replay.export.audit import (
 from istc_replay.export.audit.pictures import draw_timeline, recording_of
 from istc_replay.safety.log_audit import Audit, audit_log
 from istc_replay.safety.rules import RULE_NAMES
-from istc_replay.states import STATES_SCHEMA, conform
+from istc_replay.states import CERTIFICATES_SCHEMA, conform
+
+from ..support.tracks import log_of, track
 
 ROOT = Path(__file__).resolve().parents[2]
 NS = 1_000_000_000
@@ -38,28 +39,11 @@ FILES: list[Any] = ["parquet", "json", "md", "junit", "xqar", "html"]
 
 
 def vehicle(name: str, **columns: Any) -> pl.DataFrame:
-    times = np.round(T * NS).astype(np.int64)
-    values = {
-        "vehicle_id": name, "time_ns": times, "log_time_ns": times, "y_m": 0.0, "heading_rad": 0.0,
-        "length_m": 4.5, "width_m": 1.9, "role": "vehicle", "topic": f"/{name}",
-        "message_index": np.arange(times.size), "derived": 0,
-    } | columns  # fmt: skip
-    wide = {key: np.broadcast_to(np.asarray(value), times.shape) for key, value in values.items()}
-    return conform(pl.DataFrame(wide), STATES_SCHEMA)
-
-
-def log_of(*parts: pl.DataFrame, **changes: Any) -> Log:
-    states = pl.concat(parts).sort("vehicle_id", "time_ns", maintain_order=True)
-    log = Log(
-        path="some/where/made.mcap", sha256="0" * 64, complete=True, messages=1, attachments=0, metadata=0,
-        chunks=0, start_ns=0, end_ns=int(T[-1] * NS), channels=(), states=states, scene=StaticScene(),
-        problems=(),
-    )  # fmt: skip
-    return replace(log, **changes)
+    return track(name, T, **({"length_m": 4.5, "width_m": 1.9} | columns))
 
 
 def audited(*parts: pl.DataFrame, **changes: Any) -> Audit:
-    return audit_log(log_of(*parts, **changes), Config())
+    return audit_log(log_of(*parts, **({"path": "some/where/made.mcap"} | changes)), Config())
 
 
 def calm() -> Audit:
@@ -142,6 +126,29 @@ def test_junit_has_a_case_a_rule_that_findings_fail_and_doubt_breaks() -> None:
     assert of_doubt["data_units"] == {"error"}
     assert of_doubt["ttc"] == {"error"}  # nobody to meet, yet in doubt
     assert all(tags in (set(), {"skipped"}) for tags in cases(calm())[1].values())
+
+
+def test_junit_has_a_case_a_check_that_a_window_fails_or_leaves_undecided() -> None:
+    rows = [
+        (0, "separation", "pass"), (1, "separation", "fail"), (2, "separation", "inconclusive"),
+        (0, "dynamics", "pass"), (1, "dynamics", "inconclusive"),
+        (0, "in_bounds", "not_applicable"), (0, "limits", "pass"), (1, "limits", "not_applicable"),
+    ]  # fmt: skip
+    told = [{"window": w, "check": c, "verdict": v, "detail": f"why {w}\x1b"} for w, c, v in rows]
+    certificates = conform(pl.DataFrame(told), CERTIFICATES_SCHEMA)
+    root = ET.fromstring(audit_junit(replace(calm(), certificates=certificates), "serious"))  # noqa: S314
+    cases = {case.get("name"): case for case in root if case.get("classname") == "istc-replay.certificate"}
+    assert {name: [child.tag for child in case] for name, case in cases.items()} == {
+        "separation": ["failure"],
+        "dynamics": ["error"],
+        "in_bounds": ["skipped"],
+        "limits": [],
+    }
+    (failure,), (error,) = cases["separation"], cases["dynamics"]
+    assert (failure.get("message"), failure.text) == ("1 windows", "window 1: why 1?")
+    assert (error.get("type"), error.text) == ("inconclusive", "window 1: why 1?")
+    assert root.get("tests") == str(len(RULE_NAMES) + 4)
+    assert (root.get("failures"), root.get("errors")) == ("1", "1")
 
 
 def test_names_of_a_log_inject_no_markup() -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import sys
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -15,6 +16,8 @@ import pytest
 
 from istc_replay.config import ViewConfig
 from istc_replay.datatypes import Result
+from istc_replay.errors import ExportError
+from istc_replay.export import rerun_viewer
 from istc_replay.export.colours import vehicle_colours
 from istc_replay.export.rerun_blueprint import blueprint
 from istc_replay.export.rerun_view import Opening, recording_id, write_view
@@ -156,3 +159,28 @@ def test_a_thousand_vehicles_coming_and_going_open(viewer: Any, crowd: Result, t
 
 def test_the_viewer_listens_on_this_machine_alone(viewer_process: Any) -> None:
     assert listening(viewer_process.pid) == {"127.0.0.1"}
+
+
+def test_a_viewer_that_does_not_start_is_told_by_its_last_word(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("DISPLAY", ":0")
+    dying = [sys.executable, "-c", "print('one\\ntwo: no GPU'); raise SystemExit(1)"]
+    monkeypatch.setattr(rerun_viewer, "rerun_command", lambda *_: dying)
+    with pytest.raises(ExportError, match="does not start: two: no GPU; use --save or --web"):
+        rerun_viewer.start_viewer()
+    monkeypatch.setattr(rerun_viewer, "rerun_command", lambda *_: ["/nowhere/rerun"])
+    with pytest.raises(ExportError, match=r"does not start: .*nowhere"):
+        rerun_viewer.start_viewer()
+
+
+def test_without_a_screen_no_viewer_is_started(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("DISPLAY", raising=False)
+    monkeypatch.delenv("WAYLAND_DISPLAY", raising=False)
+    monkeypatch.setattr("sys.platform", "linux")
+    with pytest.raises(ExportError, match=r"no screen .* --bundle FOLDER .* --web"):
+        rerun_viewer.start_viewer()
+
+
+def test_where_no_viewer_answers_it_is_told_at_once(synthetic_result: Result) -> None:
+    url = f"rerun+http://127.0.0.1:{rerun_viewer.free_port()}/proxy"
+    with pytest.raises(ExportError, match=r"no viewer answers.*is one running there"):
+        send_view(synthetic_result, ViewConfig(), url, Opening(), None)
