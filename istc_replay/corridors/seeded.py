@@ -82,7 +82,7 @@ def search_seeds(
         began = time.perf_counter()
         seeds.others = seeds.attempt > 0
         seeds.lattices = make_lattices(scenario, guidance, config, others=seeds.others)
-        paths = sum(lattice.shape[1] for lattice in seeds.lattices)
+        paths = sum(len(lattice.paths) for lattice in seeds.lattices)
         search.record("seed paths", "numpy", SolveStatus.FEASIBLE, began, nodes=paths)
     names = [participant.vehicle_id for participant in scenario.participants]
     found: list[tuple[Search, _Growth]] = []

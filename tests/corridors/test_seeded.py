@@ -117,7 +117,7 @@ def test_attempts_after_the_first_have_other_routes_too(among_obstacles: Case) -
     limits = {p.vehicle_id: default_limits(settings) for p in scenario.participants}
     seeds = Seeds()
     find_corridors(scenario, guidance, settings, limits, 10.0, seeds)
-    first = [lattice.shape[1] for lattice in seeds.lattices]
+    first = [len(lattice.paths) for lattice in seeds.lattices]
     seeds.again()
     find_corridors(scenario, guidance, settings, limits, 10.0, seeds)
-    assert sum(lattice.shape[1] for lattice in seeds.lattices) > sum(first)
+    assert sum(len(lattice.paths) for lattice in seeds.lattices) > sum(first)

@@ -11,9 +11,8 @@ from dataclasses import dataclass, field
 from itertools import combinations, count
 
 import numpy as np
-from numpy.typing import NDArray
 
-from istc_replay.corridors.seed.lattice import Lattice, Motion
+from istc_replay.corridors.seed.lattice import Lattice, Met, Motion
 from istc_replay.datatypes import FloatArray
 
 #: Prices of a unit in conflict, from sweep to sweep of best responses, and in neighbourhoods.
@@ -38,7 +37,8 @@ class Repair:
     _barred: set[int] = field(default_factory=set)
     _wider_m: dict[tuple[int, int], FloatArray] = field(default_factory=dict)
     _versions: list[int] = field(default_factory=list)
-    _overlaps: dict[tuple[int, int], tuple[int, NDArray[np.uint8]]] = field(default_factory=dict)
+    _meetings: dict[tuple[int, int], tuple[int, Met]] = field(default_factory=dict)
+    _conflicts: dict[tuple[int, int], tuple[tuple[int, int], list[int]]] = field(default_factory=dict)
     _random: np.random.Generator = field(init=False)
     _numbers: Iterator[int] = field(default_factory=count)
 
@@ -87,7 +87,8 @@ class Repair:
         wider = self._wider_m.setdefault(pair, np.zeros(units))
         wider[unit] += more_m
         for key in (pair, pair[::-1]):
-            self._overlaps.pop(key, None)
+            self._meetings.pop(key, None)
+            self._conflicts.pop(key, None)
 
     @property
     def cost(self) -> float:
@@ -113,6 +114,14 @@ class Repair:
         return found
 
     def _meeting(self, i: int, j: int) -> list[int]:
+        """The units in which two vehicles are in conflict."""
+        versions = self._versions[i], self._versions[j]
+        known = self._conflicts.get((i, j))
+        if known is None or known[0] != versions:
+            known = self._conflicts[i, j] = (versions, self._found_meeting(i, j))
+        return known[1]
+
+    def _found_meeting(self, i: int, j: int) -> list[int]:
         first = max(self.lattices[i].first_unit, self.lattices[j].first_unit)
         a = self.motions[i].cubes_m[first - self.lattices[i].first_unit :]
         b = self._kept_clear_m(i, j)[first - self.lattices[j].first_unit :]
@@ -183,7 +192,8 @@ class Repair:
             present.append(number)
 
     def _replan(self, number: int, price: float, others: Iterable[int]) -> None:
-        motion = self.lattices[number].best(self._penalty(number, price, others))
+        met = [self._met(number, other) for other in others if other != number]
+        motion = self.lattices[number].best(met, price)
         if motion is None:
             self.no_way = number
         elif number < len(self.motions):
@@ -193,19 +203,11 @@ class Repair:
             self.motions.append(motion)
             self._versions.append(next(self._numbers))
 
-    def _penalty(self, number: int, price: float, others: Iterable[int]) -> NDArray[np.float32]:
-        """Price (K, P, S, W) of meeting others."""
-        lattice = self.lattices[number]
-        total = np.zeros(lattice.shape, dtype=np.uint8)
-        for other in others:
-            if other != number:
-                total += self._overlap(number, other)
-        return np.float32(price) * total
-
-    def _overlap(self, number: int, other: int) -> NDArray[np.uint8]:
-        known = self._overlaps.get((number, other))
+    def _met(self, number: int, other: int) -> Met:
+        """The moves by which a vehicle meets another's motion."""
+        known = self._meetings.get((number, other))
         if known is None or known[0] != self._versions[other]:
             cubes, first = self._kept_clear_m(number, other), self.lattices[other].first_unit
-            found = self.lattices[number].overlaps(cubes, first, self.gap_m)
-            known = self._overlaps[number, other] = (self._versions[other], found)
+            found = self.lattices[number].meeting(cubes, first, self.gap_m)
+            known = self._meetings[number, other] = (self._versions[other], found)
         return known[1]

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from istc_replay.corridors.seed.lattice import CLEAR_M, Lattice
+from istc_replay.corridors.seed.lattice import CLEAR_M, DEEPEST_M, Lattice
+from istc_replay.corridors.seed.moves import Moves
 from istc_replay.corridors.seed.paths import SeedPath, along_others, candidate_paths, detours
 from istc_replay.corridors.seed.repair import Repair
 from istc_replay.datatypes import FloatArray, Guidance, read_only
@@ -34,35 +35,32 @@ def make_lattices(
         car, gap = participant.dimensions, config.obstacle_gap_m
         paths = candidate_paths(guide, car, standing, scenario.bounds_m, gap)
 
-        def along(some: Sequence[SeedPath], **options: float) -> Lattice:
-            return Lattice(
-                participant,
-                guide,
-                some,
-                scenario.window.unit_s,
-                scenario.obstacles,
-                scenario.bounds_m,
-                gap,
-                participant.priority * config.reference_weight,
-                stops=bool(participant.recording.speeds_mps[-1] < _STANDING_MPS),
-                **options,
-            )
+        def moves(some: Sequence[SeedPath]) -> Moves:
+            unit_s = scenario.window.unit_s
+            return Moves(participant, some, unit_s, scenario.obstacles, scenario.bounds_m, gap)
 
-        all_of_them = along(paths)
-        clear = _reachable(all_of_them)
+        def reachable(some: Sequence[SeedPath]) -> list[SeedPath]:
+            known = moves(some).reachable(CLEAR_M) if some else ()
+            return [path for path, ok in zip(some, known, strict=True) if ok]
+
+        clear = reachable(paths)
         if len(standing) and len(clear) < _FEW_PATHS:
-            more = detours(guide, car, standing, scenario.bounds_m, gap)
-            clear += _reachable(along(more)) if more else []
+            clear += reachable(detours(guide, car, standing, scenario.bounds_m, gap))
         if others:
-            more = along_others(guide, car, standing, scenario.bounds_m, gap)
-            clear += _reachable(along(more)) if more else []
-        return along(clear, overlap_max_m=CLEAR_M) if clear else all_of_them
+            clear += reachable(along_others(guide, car, standing, scenario.bounds_m, gap))
+        return Lattice(
+            participant,
+            guide,
+            moves(clear or paths),
+            scenario.window.unit_s,
+            scenario.obstacles,
+            gap,
+            participant.priority * config.reference_weight,
+            stops=bool(participant.recording.speeds_mps[-1] < _STANDING_MPS),
+            overlap_max_m=CLEAR_M if clear else DEEPEST_M,
+        )
 
     return tuple(lattice(p, g) for p, g in zip(scenario.participants, guidance, strict=True))
-
-
-def _reachable(lattice: Lattice) -> list[SeedPath]:
-    return [path for path, ok in zip(lattice.paths, lattice.reachable(), strict=True) if ok]
 
 
 def frames_of(repair: Repair, guidance: Sequence[Guidance]) -> tuple[Guidance, ...]:
