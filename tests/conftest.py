@@ -31,22 +31,24 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
                 item.add_marker(pytest.mark.xdist_group(name))
 
 
+def _beside(folder: str) -> Path:
+    """A folder of what is shared beside the repository."""
+    path = Path(__file__).resolve().parents[1] / "../shared" / folder
+    if not path.is_dir():
+        pytest.skip(f"the reference {folder} are not beside this repository")
+    return path
+
+
 @pytest.fixture(scope="session")
 def shared_logs() -> Path:
     """The reference logs beside the repository."""
-    folder = Path(__file__).resolve().parents[1] / "../shared/logs"
-    if not folder.is_dir():
-        pytest.skip("the shared reference logs are not beside this repository")
-    return folder
+    return _beside("logs")
 
 
 @pytest.fixture(scope="session")
 def shared_scenarios() -> Path:
     """The reference scenes beside the repository."""
-    folder = Path(__file__).resolve().parents[1] / "../shared/scenarios"
-    if not folder.is_dir():
-        pytest.skip("the reference scenes are not beside this repository")
-    return folder
+    return _beside("scenarios")
 
 
 @pytest.fixture(scope="session")

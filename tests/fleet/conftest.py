@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import time
 from collections.abc import Callable
 from contextlib import suppress
@@ -67,6 +68,12 @@ def done(run_fleet: RunFleet, four_logs: Path, tmp_path_factory: pytest.TempPath
     summary = run_fleet(folder, four_logs)
     assert (summary.counts["done"], summary.worst_code) == (4, 0), summary.named
     return folder
+
+
+@pytest.fixture
+def again(done: Path, tmp_path: Path) -> Path:
+    """The four logs, done, in a folder that may be changed."""
+    return Path(shutil.copytree(done, tmp_path / "again"))
 
 
 @pytest.fixture

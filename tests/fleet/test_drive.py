@@ -54,11 +54,9 @@ def test_the_manifest_says_what_became_of_each_log(done: Path, four_logs: Path) 
 
 
 def test_a_second_call_does_what_is_not_whole_and_nothing_else(
-    run_fleet: RunFleet, done: Path, four_logs: Path, tmp_path: Path
+    run_fleet: RunFleet, again: Path, four_logs: Path
 ) -> None:
-    folder = tmp_path / "again"
-    shutil.copytree(done, folder)
-    wanted = outputs(folder)
+    folder, wanted = again, outputs(again)
     damaged, gone, untouched, touched = sorted((folder / "logs").iterdir())
     data = bytearray((damaged / "result.mcap").read_bytes())
     data[len(data) // 2] ^= 1
@@ -90,11 +88,9 @@ def test_a_changed_log_or_configuration_is_done_again(
 
 
 def test_finished_outputs_that_a_killed_driver_could_not_enter_are_taken_as_they_are(
-    run_fleet: RunFleet, done: Path, four_logs: Path, tmp_path: Path
+    run_fleet: RunFleet, again: Path, four_logs: Path
 ) -> None:
-    folder = tmp_path / "killed"
-    shutil.copytree(done, folder)
-    wanted = outputs(folder)
+    folder, wanted = again, outputs(again)
     lines = (folder / "fleet.jsonl").read_bytes().splitlines(keepends=True)
     ends = [i for i, line in enumerate(lines) if b'"event": "done"' in line]
     # The driver was killed while it wrote the third ending, and a worker just before it moved its folder.
