@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from types import SimpleNamespace
 
 import numpy as np
-import pytest
 from numpy.typing import NDArray
 
 from istc_replay.config import TrajectoriesConfig
@@ -22,7 +20,7 @@ from istc_replay.datatypes import (
 )
 from istc_replay.trajectories.plan import TrajectoryOutcome, TrajectoryPlanner
 
-from ..support.participants import CAR
+from .participants import CAR
 
 SPEED_MAX_MPS = 10.0
 
@@ -194,19 +192,3 @@ def least_margin_m(trajectory: Trajectory, course: Course) -> float:
                 margins.append(min((x[at] - x_min).min(), (x_max - x[at]).min()))
                 margins.append(min((y[at] - y_min).min(), (y_max - y[at]).min()))
     return float(min(margins))
-
-
-@pytest.fixture(scope="session")
-def lab() -> SimpleNamespace:
-    """The helpers above, for tests to build courses, plan them and judge the plans."""
-    return SimpleNamespace(
-        car=CAR,
-        box_at=box_at,
-        course_along=course_along,
-        driven_path=driven_path,
-        s_bend=s_bend,
-        plan=plan,
-        planned=planned,
-        motion_at_1ms=motion_at_1ms,
-        least_margin_m=least_margin_m,
-    )
