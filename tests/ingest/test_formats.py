@@ -20,7 +20,7 @@ from istc_replay.ingest.log import read_log
 from istc_replay.ingest.walk import open_log
 from istc_replay.states import STATES_SCHEMA
 
-T0_NS = 1_700_000_000_000_000_000
+from ..support.logs import T0_NS, Topic, write_log
 
 
 def codes(log: Any) -> set[str]:
@@ -117,7 +117,7 @@ def test_undecodable_schemas_and_payloads_are_problems(shared_logs: Path) -> Non
 
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(payload=st.binary(max_size=80))
-def test_no_payload_raises(payload: bytes, write_log: Any, topic: Any, save: Any, shared_logs: Path) -> None:
+def test_no_payload_raises(payload: bytes, save: Any, shared_logs: Path) -> None:
     schemas = {}
     for name in ("osi_gt", "ros2_odom"):
         found = next(open_log(shared_logs / f"formats/{name}.mcap").messages())
@@ -126,10 +126,10 @@ def test_no_payload_raises(payload: bytes, write_log: Any, topic: Any, save: Any
     log = read_log(
         save(
             write_log(
-                topic("/state", [(T0_NS, payload)]),
-                topic("/scene", [(T0_NS, payload)], "istc.v1.Scene"),
-                topic("/osi", [(T0_NS, payload)], "osi3.GroundTruth", "protobuf", schemas["osi_gt"].data),
-                topic(
+                Topic("/state", [(T0_NS, payload)]),
+                Topic("/scene", [(T0_NS, payload)], "istc.v1.Scene"),
+                Topic("/osi", [(T0_NS, payload)], "osi3.GroundTruth", "protobuf", schemas["osi_gt"].data),
+                Topic(
                     "/odom",
                     [(T0_NS, b"\0\1\0\0" + payload)],
                     "nav_msgs/msg/Odometry",

@@ -17,7 +17,8 @@ from mcap_protobuf.schema import build_file_descriptor_set
 from istc_replay.config import parse_config
 from istc_replay.ingest.log import read_log
 
-T0_NS = 1_700_000_000_000_000_000
+from ..support.logs import T0_NS, Topic, write_log
+
 STEP_NS = 100_000_000
 CENTRE = '[ingest]\nodometry_reference_point = "box_centre"\n'
 #: Two vehicles: a drives along 30 degrees at 10 m/s, b stands and comes a second later.
@@ -83,34 +84,34 @@ def transform(vehicle: str, k: int) -> FrameTransform:
     return next(t for t in transforms(k).transforms if t.child_frame_id.startswith(vehicle))
 
 
-def topics(topic: Any, name: str, messages: list[tuple[int, Any]]) -> Any:
+def topics(name: str, messages: list[tuple[int, Any]]) -> Any:
     kind = type(messages[0][1])
     data = build_file_descriptor_set(kind).SerializeToString()
     payloads = [(T0_NS + k * STEP_NS, message.SerializeToString()) for k, message in messages]
-    return topic(name, payloads, kind.DESCRIPTOR.full_name, "protobuf", data)
+    return Topic(name, payloads, kind.DESCRIPTOR.full_name, "protobuf", data)
 
 
 WHEN = {"a": range(20), "b": range(10, 20)}
 KINDS = {
-    "FrameTransforms": lambda t: [topics(t, "/tf", [(k, transforms(k)) for k in range(20)])],
-    "FrameTransform": lambda t: [
-        topics(t, f"/tf_{v}", [(k, transform(v, k)) for k in own]) for v, own in WHEN.items()
+    "FrameTransforms": lambda: [topics("/tf", [(k, transforms(k)) for k in range(20)])],
+    "FrameTransform": lambda: [
+        topics(f"/tf_{v}", [(k, transform(v, k)) for k in own]) for v, own in WHEN.items()
     ],
-    "PosesInFrame": lambda t: [topics(t, "/fleet", [(k, poses(k)) for k in range(20)])],
-    "PoseInFrame": lambda t: [
-        topics(t, f"/{v}/pose", [(k, one(PoseInFrame, v, k)) for k in own]) for v, own in WHEN.items()
+    "PosesInFrame": lambda: [topics("/fleet", [(k, poses(k)) for k in range(20)])],
+    "PoseInFrame": lambda: [
+        topics(f"/{v}/pose", [(k, one(PoseInFrame, v, k)) for k in own]) for v, own in WHEN.items()
     ],
-    "SceneUpdate": lambda t: [topics(t, "/scene", [(k, scene(k)) for k in range(20)])],
-    "Odometry": lambda t: [
-        topics(t, f"/{v}/odom", [(k, one(Odometry, v, k)) for k in own]) for v, own in WHEN.items()
+    "SceneUpdate": lambda: [topics("/scene", [(k, scene(k)) for k in range(20)])],
+    "Odometry": lambda: [
+        topics(f"/{v}/odom", [(k, one(Odometry, v, k)) for k in own]) for v, own in WHEN.items()
     ],
 }
 NAMES = {"PosesInFrame": {"fleet/0": "a", "fleet/1": "b"}}
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_every_kind_tells_the_same_truth(kind: str, topic: Any, write_log: Any, save: Any) -> None:
-    log = read_log(save(write_log(*KINDS[kind](topic))), parse_config(CENTRE))
+def test_every_kind_tells_the_same_truth(kind: str, save: Any) -> None:
+    log = read_log(save(write_log(*KINDS[kind]())), parse_config(CENTRE))
     assert log.problems == ()
     names = NAMES.get(kind, {"a": "a", "b": "b"})
     assert log.states.height == 30
@@ -125,23 +126,21 @@ def test_every_kind_tells_the_same_truth(kind: str, topic: Any, write_log: Any, 
     assert first.height == 2
 
 
-def test_several_formats_of_one_log_are_told_once(topic: Any, write_log: Any, save: Any) -> None:
-    made = [*KINDS["FrameTransforms"](topic), *KINDS["Odometry"](topic), *KINDS["SceneUpdate"](topic)]
+def test_several_formats_of_one_log_are_told_once(save: Any) -> None:
+    made = [*KINDS["FrameTransforms"](), *KINDS["Odometry"](), *KINDS["SceneUpdate"]()]
     log = read_log(save(write_log(*made)), parse_config(CENTRE))
     assert log.states.height == 30
     assert log.states["topic"].unique().sort().to_list() == ["/a/odom", "/b/odom"]
     assert {c.topic for c in log.channels if c.reason} == {"/tf", "/scene"}
 
 
-def test_any_protobuf_message_is_read_by_a_mapping_of_its_fields(
-    topic: Any, write_log: Any, save: Any
-) -> None:
+def test_any_protobuf_message_is_read_by_a_mapping_of_its_fields(save: Any) -> None:
     config = parse_config(
         '[ingest.topics."/scene"]\nitems = "entities"\n[ingest.topics."/scene".fields]\n'
         'vehicle_id = "id"\ntime = "timestamp"\nposition = "cubes.0.pose.position"\n'
         'orientation = "cubes.0.pose.orientation"\nlength_m = "cubes.0.size.x"\n'
     )
-    log = read_log(save(write_log(*KINDS["SceneUpdate"](topic))), config)
+    log = read_log(save(write_log(*KINDS["SceneUpdate"]())), config)
     told = log.states.filter(log.states["x_m"].is_not_null())
     assert told.height == 30
     assert told["length_m"].unique().to_list() == [4.5]

@@ -15,7 +15,7 @@ from istc_replay.ingest.json_text import JsonDecoder
 from istc_replay.ingest.layout import Decoded
 from istc_replay.ingest.wanted import Mapping
 
-from .conftest import decode, plain
+from ..support.logs import decode, plain
 
 JSON = Mapping({"x_m": "pose.x", "vehicle_id": "id", "time": "stamp"})
 

@@ -22,7 +22,7 @@ from istc_replay.ingest.ros import ros_decoder
 from istc_replay.ingest.scan import Spans, scan
 from istc_replay.ingest.wanted import Mapping
 
-from .conftest import decode, plain
+from ..support.logs import decode, plain
 
 # --- protobuf ------------------------------------------------------------------------------------
 

@@ -17,7 +17,8 @@ from istc_replay.ingest.log import read_log
 from istc_replay.messages import message
 from istc_replay.states import STATES_SCHEMA
 
-T0_NS = 1_700_000_000_000_000_000
+from ..support.logs import T0_NS, Topic, vehicle_state, write_log
+
 STEP_NS = 100_000_000
 LATER_NS = T0_NS + 2 * 10**9
 FLOATS = [name for name, dtype in STATES_SCHEMA.items() if dtype == pl.Float64()]
@@ -31,9 +32,6 @@ def codes(log: Any) -> set[str]:
 
 
 def test_states_are_read_as_written(
-    write_log: Callable[..., bytes],
-    topic: Any,
-    vehicle_state: Callable[..., bytes],
     save: Callable[[bytes], Path],
 ) -> None:
     values = {
@@ -51,8 +49,8 @@ def test_states_are_read_as_written(
         "rear_axle_to_centre_m": 1.25,
     }
     data = write_log(
-        topic("/b", [(T0_NS + 5, vehicle_state(T0_NS, "b", **values))]),
-        topic(
+        Topic("/b", [(T0_NS + 5, vehicle_state(T0_NS, "b", **values))]),
+        Topic(
             "/a",
             [(LATER_NS + 9, vehicle_state(LATER_NS, "a", x_m=1.0)), (T0_NS + 7, vehicle_state(T0_NS, "a"))],
         ),
@@ -80,22 +78,18 @@ def test_states_are_read_as_written(
 @pytest.mark.parametrize(
     ("source", "expected"), [("header", T0_NS), ("log", T0_NS + 50), ("publish", T0_NS + 51)]
 )
-def test_the_time_source_is_the_configured_one(
-    source: str, expected: int, write_log: Any, topic: Any, vehicle_state: Any, save: Any
-) -> None:
-    path = save(write_log(topic("/a", [(T0_NS + 50, vehicle_state(T0_NS))])))
+def test_the_time_source_is_the_configured_one(source: str, expected: int, save: Any) -> None:
+    path = save(write_log(Topic("/a", [(T0_NS + 50, vehicle_state(T0_NS))])))
     log = read_log(path, parse_config(f'[ingest]\ntime_source = "{source}"'))
     assert log.states["time_ns"].to_list() == [expected]
     assert log.time_source == source
 
 
-def test_numbers_that_are_not_finite_become_null_and_are_told(
-    write_log: Any, topic: Any, vehicle_state: Any, save: Any
-) -> None:
+def test_numbers_that_are_not_finite_become_null_and_are_told(save: Any) -> None:
     state = vehicle_state(
         T0_NS, x_m=math.nan, y_m=1.0, heading_rad=math.inf, speed_mps=-math.inf, length_m=math.nan
     )
-    log = read_log(save(write_log(topic("/a", [(T0_NS, state)]))))
+    log = read_log(save(write_log(Topic("/a", [(T0_NS, state)]))))
     row = log.states.to_dicts()[0]
     assert [row[key] for key in ("x_m", "y_m", "heading_rad", "speed_mps", "length_m")] == [
         None,
@@ -108,10 +102,8 @@ def test_numbers_that_are_not_finite_become_null_and_are_told(
     assert log.states.select(pl.col(FLOATS).is_nan().any()).sum_horizontal()[0] == 0
 
 
-def test_times_beyond_int64_leave_their_state_out(
-    write_log: Any, topic: Any, vehicle_state: Any, save: Any
-) -> None:
-    data = write_log(topic("/a", [(T0_NS, vehicle_state(T0_NS)), (T0_NS + 1, vehicle_state(T0_NS + 1))]))
+def test_times_beyond_int64_leave_their_state_out(save: Any) -> None:
+    data = write_log(Topic("/a", [(T0_NS, vehicle_state(T0_NS)), (T0_NS + 1, vehicle_state(T0_NS + 1))]))
     data = data.replace(struct.pack("<QQ", T0_NS + 1, T0_NS + 2), struct.pack("<QQ", 2**64 - 1, T0_NS + 2))
     data = _without_checksums(data)
     log = read_log(save(data))
@@ -127,12 +119,10 @@ def _without_checksums(data: bytes) -> bytes:
     return data[:crc] + bytes(4) + data[crc + 4 :]
 
 
-def test_backward_and_repeated_times_are_kept_and_told(
-    write_log: Any, topic: Any, vehicle_state: Any, save: Any
-) -> None:
+def test_backward_and_repeated_times_are_kept_and_told(save: Any) -> None:
     stamps = [0, 2, 1, 1, 3]
     states = [(T0_NS + k, vehicle_state(T0_NS + stamp, x_m=float(k))) for k, stamp in enumerate(stamps)]
-    log = read_log(save(write_log(topic("/a", states))))
+    log = read_log(save(write_log(Topic("/a", states))))
     assert log.states["x_m"].to_list() == [0.0, 2.0, 3.0, 1.0, 4.0]
     assert {problem.code: problem.detail for problem in log.problems} == {
         "backward_time": "1 states on '/a' go back in time, first in its message 2",
@@ -140,9 +130,7 @@ def test_backward_and_repeated_times_are_kept_and_told(
     }
 
 
-def test_a_missing_speed_is_derived_and_marked(
-    write_log: Any, topic: Any, vehicle_state: Any, save: Any
-) -> None:
+def test_a_missing_speed_is_derived_and_marked(save: Any) -> None:
     def state(k: int, **values: float) -> tuple[int, bytes]:
         time = T0_NS + k * STEP_NS
         return time, vehicle_state(time, x_m=-0.1 * k * k, y_m=7.0, **values)
@@ -151,7 +139,7 @@ def test_a_missing_speed_is_derived_and_marked(
         state(4, heading_rad=math.pi, speed_mps=9.0)
     ]
     states += [state(5), state(40, heading_rad=math.pi)]
-    table = read_log(save(write_log(topic("/a", states)))).states
+    table = read_log(save(write_log(Topic("/a", states)))).states
     # Central differences of 0.1 k^2 along -x, one-sided at the start; a step above 1 s gives none.
     assert table["speed_mps"][:5].to_list() == pytest.approx([1.0, 2.0, 4.0, 6.0, 9.0])
     assert table["speed_mps"][5:].to_list() == [None, None]
@@ -161,27 +149,23 @@ def test_a_missing_speed_is_derived_and_marked(
     assert table["derived"].to_list() == [6, 6, 6, 6, 0, 0, 0]
 
 
-def test_planned_states_of_a_result_are_not_recorded_ones(
-    write_log: Any, topic: Any, vehicle_state: Any, save: Any
-) -> None:
+def test_planned_states_of_a_result_are_not_recorded_ones(save: Any) -> None:
     data = write_log(
-        topic("/istc/planned/1", [(T0_NS, vehicle_state(window=0))]), topic("/r", [(T0_NS, vehicle_state())])
+        Topic("/istc/planned/1", [(T0_NS, vehicle_state(window=0))]), Topic("/r", [(T0_NS, vehicle_state())])
     )
     log = read_log(save(data))
     assert log.states["topic"].to_list() == ["/r"]
     assert codes(log) == {"planned_states"}
 
 
-def test_a_state_without_vehicle_is_left_out(
-    write_log: Any, topic: Any, vehicle_state: Any, save: Any
-) -> None:
+def test_a_state_without_vehicle_is_left_out(save: Any) -> None:
     states = [(T0_NS, vehicle_state(vehicle_id="")), (T0_NS + 1, vehicle_state(vehicle_id="v" * 257))]
-    log = read_log(save(write_log(topic("/a", states))))
+    log = read_log(save(write_log(Topic("/a", states))))
     assert log.states.height == 0
     assert codes(log) == {"no_vehicle_id"}
 
 
-def test_scenes_are_merged_and_their_faults_told(write_log: Any, topic: Any, save: Any) -> None:
+def test_scenes_are_merged_and_their_faults_told(save: Any) -> None:
     scene = message("Scene")()
     line = scene.lane_lines.add(lane_id="w", vehicle_id="1")
     for x in (0.0, 5.0, 9.0):
@@ -196,7 +180,7 @@ def test_scenes_are_merged_and_their_faults_told(write_log: Any, topic: Any, sav
     later.bounds.x_max_m = later.bounds.y_max_m = 50.0
     later.obstacles.add(obstacle_id="block", x_m=7.0, length_m=3.0, width_m=2.0)
     messages = [(T0_NS, scene.SerializeToString()), (T0_NS + 1, later.SerializeToString())]
-    log = read_log(save(write_log(topic("/any", messages, schema="istc.v1.Scene"))))
+    log = read_log(save(write_log(Topic("/any", messages, schema="istc.v1.Scene"))))
     read = log.scene
     assert [(line.lane_id, line.vehicle_id, line.points_m.tolist()) for line in read.lane_lines] == [
         ("w", "1", [[0.0, -1.0], [5.0, -1.0], [9.0, -1.0]])
@@ -217,11 +201,9 @@ def test_scenes_are_merged_and_their_faults_told(write_log: Any, topic: Any, sav
 # --- channels and configuration -----------------------------------------------------------------
 
 
-def test_channels_that_are_not_understood_are_listed(
-    one_vehicle: Any, write_log: Any, topic: Any, save: Any
-) -> None:
-    camera = topic("/camera", [(T0_NS, b"\0")], "foxglove.CompressedImage")
-    text = topic("/text", [(T0_NS, b"{}")], "", "", b"", "json")
+def test_channels_that_are_not_understood_are_listed(one_vehicle: Any, save: Any) -> None:
+    camera = Topic("/camera", [(T0_NS, b"\0")], "foxglove.CompressedImage")
+    text = Topic("/text", [(T0_NS, b"{}")], "", "", b"", "json")
     log = read_log(save(write_log(one_vehicle, camera, text)))
     assert [(c.topic, c.schema, c.message_encoding, c.messages, c.understood_as) for c in log.channels] == [
         ("/camera", "foxglove.CompressedImage", "protobuf", 1, None),
@@ -234,9 +216,9 @@ def test_channels_that_are_not_understood_are_listed(
     assert codes(read_log(save(write_log()))) == {"no_channels"}
 
 
-def test_topics_are_read_as_configured(one_vehicle: Any, write_log: Any, topic: Any, save: Any) -> None:
-    foreign = topic("/foreign", one_vehicle.messages, "acme.State")
-    text = topic("/text", [(T0_NS, b"{}")], "", "", b"", "json")
+def test_topics_are_read_as_configured(one_vehicle: Any, save: Any) -> None:
+    foreign = Topic("/foreign", one_vehicle.messages, "acme.State")
+    text = Topic("/text", [(T0_NS, b"{}")], "", "", b"", "json")
     path = save(write_log(one_vehicle, foreign, text))
     config = parse_config(
         """
@@ -260,9 +242,7 @@ def test_topics_are_read_as_configured(one_vehicle: Any, write_log: Any, topic: 
     assert codes(log) == {"unknown_topic", "not_as_configured"}
 
 
-def test_a_rear_axle_is_moved_by_the_best_known_distance(
-    write_log: Any, topic: Any, vehicle_state: Any, save: Any
-) -> None:
+def test_a_rear_axle_is_moved_by_the_best_known_distance(save: Any) -> None:
     sizes: dict[str, dict[str, float]] = {
         "own": {"length_m": 5.0, "wheelbase_m": 3.0, "rear_axle_to_centre_m": 1.1},
         "wheelbase": {"length_m": 5.0, "wheelbase_m": 3.0},
@@ -285,7 +265,7 @@ def test_a_rear_axle_is_moved_by_the_best_known_distance(
         wheelbase_m = 3.4
         """
     )
-    log = read_log(save(write_log(topic("/a", states))), config)
+    log = read_log(save(write_log(Topic("/a", states))), config)
     moved = {row["vehicle_id"]: (row["x_m"], row["y_m"]) for row in log.states.to_dicts()}
     expected = {"own": 1.1, "wheelbase": 1.5, "length": 2.7, "configured": 1.7, "nothing": 1.35}
     assert {name: moved[name][0] for name in expected} == pytest.approx(expected)
@@ -294,7 +274,7 @@ def test_a_rear_axle_is_moved_by_the_best_known_distance(
     assert codes(log) == {"no_heading"}
 
 
-def test_base_link_is_moved_by_the_configured_distance(one_vehicle: Any, write_log: Any, save: Any) -> None:
+def test_base_link_is_moved_by_the_configured_distance(one_vehicle: Any, save: Any) -> None:
     path = save(write_log(one_vehicle))
     config = parse_config(
         '[ingest.topics."/vehicles/1"]\nreference_point = "base_link"\nbase_link_to_centre_m = 0.75'

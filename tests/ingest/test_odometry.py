@@ -15,7 +15,8 @@ from istc_replay.config import parse_config
 from istc_replay.ingest.log import read_log
 from istc_replay.ingest.meaning import vehicle_of
 
-T0_NS = 1_700_000_000_000_000_000
+from ..support.logs import T0_NS, Topic, write_log
+
 DEFINITION = """
 std_msgs/Header header
 # the frame of the twist
@@ -67,7 +68,7 @@ BOX = parse_config('[ingest]\nodometry_reference_point = "box_centre"')
 
 
 @pytest.fixture
-def odometry(topic: Any) -> Callable[..., Any]:
+def odometry() -> Callable[..., Any]:
     """A function that makes an odometry topic by the reference encoder."""
     encode = serialize_dynamic("nav_msgs/msg/Odometry", DEFINITION)["nav_msgs/msg/Odometry"]
 
@@ -97,7 +98,7 @@ def odometry(topic: Any) -> Callable[..., Any]:
             },
         }
         settings = {"schema_data": DEFINITION.encode(), **replaced}
-        return topic(
+        return Topic(
             name, [(T0_NS, encode(value))], "nav_msgs/msg/Odometry", "ros2msg", encoding="cdr", **settings
         )
 
@@ -106,7 +107,7 @@ def odometry(topic: Any) -> Callable[..., Any]:
 
 @pytest.mark.parametrize("child_frame", ["a/base_link", "ab/base_link", "abc/base_link", "abcd/base_link"])
 def test_odometry_is_read_as_the_reference_encoder_wrote_it(
-    child_frame: str, odometry: Any, write_log: Any, save: Any
+    child_frame: str, odometry: Any, save: Any
 ) -> None:
     log = read_log(save(write_log(odometry(child_frame=child_frame))), BOX)
     row = log.states.to_dicts()[0]
@@ -117,7 +118,7 @@ def test_odometry_is_read_as_the_reference_encoder_wrote_it(
     assert (row["length_m"], row["acceleration_mps2"], row["role"]) == (None, None, "vehicle")
 
 
-def test_big_endian_payloads_are_read(odometry: Any, write_log: Any, save: Any) -> None:
+def test_big_endian_payloads_are_read(odometry: Any, save: Any) -> None:
     little = odometry(child_frame="abc", frame="map")
     data = little.messages[0][1]
     numbers = struct.unpack_from("<85d", data, len(data) - 680)
@@ -127,7 +128,7 @@ def test_big_endian_payloads_are_read(odometry: Any, write_log: Any, save: Any) 
     assert (row["vehicle_id"], row["x_m"], row["speed_mps"]) == ("abc", 10.0, -3.0)
 
 
-def test_by_default_poses_are_rear_axles(odometry: Any, write_log: Any, save: Any) -> None:
+def test_by_default_poses_are_rear_axles(odometry: Any, save: Any) -> None:
     row = read_log(save(write_log(odometry()))).states.to_dicts()[0]
     assert (row["x_m"], row["y_m"]) == pytest.approx(
         (10.0 + 1.35 * math.cos(0.8), -4.0 + 1.35 * math.sin(0.8))
@@ -139,7 +140,7 @@ def test_by_default_poses_are_rear_axles(odometry: Any, write_log: Any, save: An
     "quaternion", [(0.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.5, 0.5), (math.nan, 0.0, 0.0, 1.0)]
 )
 def test_a_quaternion_that_is_no_rotation_gives_no_heading(
-    quaternion: tuple[float, ...], odometry: Any, write_log: Any, save: Any
+    quaternion: tuple[float, ...], odometry: Any, save: Any
 ) -> None:
     log = read_log(save(write_log(odometry(quaternion=quaternion))), BOX)
     assert log.states["heading_rad"].to_list() == [None]
@@ -163,18 +164,18 @@ def test_the_vehicle_is_named_by_its_frame_else_by_its_topic(
     assert vehicle_of(topic_name, child_frame) == vehicle
 
 
-def test_a_configured_vehicle_goes_before_the_frame(odometry: Any, write_log: Any, save: Any) -> None:
+def test_a_configured_vehicle_goes_before_the_frame(odometry: Any, save: Any) -> None:
     config = parse_config('[ingest.topics."/car_1/odom"]\nvehicle_id = "ego"')
     assert read_log(save(write_log(odometry())), config).states["vehicle_id"].to_list() == ["ego"]
 
 
-def test_several_frames_are_told(odometry: Any, write_log: Any, save: Any) -> None:
+def test_several_frames_are_told(odometry: Any, save: Any) -> None:
     other = odometry("/car_2/odom", "car_2/base_link", "car_2/odom")
     log = read_log(save(write_log(odometry(), other)), BOX)
     assert [problem.code for problem in log.problems] == ["frames_differ"]
 
 
-def test_a_message_is_read_by_the_definition_in_the_file(odometry: Any, write_log: Any, save: Any) -> None:
+def test_a_message_is_read_by_the_definition_in_the_file(odometry: Any, save: Any) -> None:
     other = DEFINITION.replace("int32 sec", "uint32 seq\nint32 sec").encode()
     with_seq = odometry(schema_data=other)
     data = with_seq.messages[0][1]
@@ -186,25 +187,21 @@ def test_a_message_is_read_by_the_definition_in_the_file(odometry: Any, write_lo
 @pytest.mark.parametrize(
     "text", [b"float64 x\n", b"what is this\n", DEFINITION[:-400].encode(), bytes(2**19)]
 )
-def test_a_definition_that_lacks_what_is_needed_is_a_problem(
-    text: bytes, odometry: Any, write_log: Any, save: Any
-) -> None:
+def test_a_definition_that_lacks_what_is_needed_is_a_problem(text: bytes, odometry: Any, save: Any) -> None:
     log = read_log(save(write_log(odometry(schema_data=text))), BOX)
     assert (log.states.height, log.channels[0].understood_as) == (0, None)
     assert [problem.code for problem in log.problems] == ["schema"]
     assert log.channels[0].reason
 
 
-def test_a_missing_definition_is_the_known_one(odometry: Any, write_log: Any, save: Any) -> None:
+def test_a_missing_definition_is_the_known_one(odometry: Any, save: Any) -> None:
     assert read_log(save(write_log(odometry(schema_data=b""))), BOX).states.height == 1
 
 
 @pytest.mark.parametrize(
     "damage", [b"", b"\0", b"\0\3\0\0" + bytes(800), b"\0\1\0\0" + bytes(100), b"\0\1\0\0" + b"\xff" * 800]
 )
-def test_a_payload_that_is_no_odometry_is_a_problem(
-    damage: bytes, odometry: Any, write_log: Any, save: Any
-) -> None:
+def test_a_payload_that_is_no_odometry_is_a_problem(damage: bytes, odometry: Any, save: Any) -> None:
     made = odometry()
     made.messages.append((T0_NS + 1, damage))
     log = read_log(save(write_log(made)), BOX)

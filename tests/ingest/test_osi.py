@@ -15,7 +15,7 @@ from istc_replay.ingest.osi import message_type
 from istc_replay.ingest.payload import PayloadError
 from istc_replay.ingest.records import Schema
 
-T0_NS = 1_700_000_000_000_000_000
+from ..support.logs import T0_NS, Topic, write_log
 
 
 @pytest.fixture
@@ -37,11 +37,11 @@ def truth(osi: Any) -> Any:
 
 
 @pytest.fixture
-def read(write_log: Any, topic: Any, save: Any, osi_descriptor: bytes) -> Callable[..., Any]:
+def read(save: Any, osi_descriptor: bytes) -> Callable[..., Any]:
     """A function that logs one payload as OSI and reads it."""
 
     def as_log(payload: bytes, name: str = "osi3.GroundTruth", config: str = "") -> Any:
-        made = topic("osi", [(T0_NS, payload)], name, schema_data=osi_descriptor)
+        made = Topic("osi", [(T0_NS, payload)], name, schema_data=osi_descriptor)
         return read_log(save(write_log(made)), parse_config(config))
 
     return as_log
@@ -193,11 +193,11 @@ def test_files_of_a_schema_may_stand_in_any_order(osi_descriptor: bytes) -> None
     assert built.DESCRIPTOR.full_name == "osi3.GroundTruth"
 
 
-def test_a_foreign_message_of_the_same_name_is_a_problem(write_log: Any, topic: Any, save: Any) -> None:
+def test_a_foreign_message_of_the_same_name_is_a_problem(save: Any) -> None:
     foreign = descriptor_pb2.FileDescriptorSet()
     kind = foreign.file.add(name="a.proto", package="osi3").message_type.add(name="GroundTruth")
     kind.field.add(name="moving_object", number=5, type=5, label=1)
-    made = topic("osi", [(T0_NS, b"\x28\x01")], "osi3.GroundTruth", schema_data=foreign.SerializeToString())
+    made = Topic("osi", [(T0_NS, b"\x28\x01")], "osi3.GroundTruth", schema_data=foreign.SerializeToString())
     log = read_log(save(write_log(made)))
     assert (log.states.height, log.channels[0].understood_as) == (0, None)
     assert [problem.code for problem in log.problems] == ["schema"]

@@ -15,7 +15,8 @@ from mcap.reader import make_reader
 from istc_replay.datatypes import LaneLine, Log, StaticScene
 from istc_replay.ingest.log import read_log
 
-T0_NS = 1_700_000_000_000_000_000
+from ..support.logs import T0_NS, Topic, write_log
+
 Points = list[tuple[float, float]]
 
 
@@ -32,12 +33,12 @@ def truth(osi: Callable[[str], Any]) -> Any:
 
 
 @pytest.fixture
-def read(write_log: Any, topic: Any, save: Any, osi_descriptor: bytes) -> Callable[..., Log]:
+def read(save: Any, osi_descriptor: bytes) -> Callable[..., Log]:
     """A function that logs messages as OSI and reads them."""
 
     def as_log(*truths: Any) -> Log:
         told = [(T0_NS + row, each.SerializeToString()) for row, each in enumerate(truths)]
-        return read_log(save(write_log(topic("osi", told, "osi3.GroundTruth", schema_data=osi_descriptor))))
+        return read_log(save(write_log(Topic("osi", told, "osi3.GroundTruth", schema_data=osi_descriptor))))
 
     return as_log
 

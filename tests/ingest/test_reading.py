@@ -12,7 +12,8 @@ from foxglove_schemas_protobuf.LocationFix_pb2 import LocationFix
 from istc_replay.config import parse_config
 from istc_replay.ingest.log import read_log
 
-T0_NS = 1_700_000_000_000_000_000
+from ..support.logs import T0_NS, Topic, vehicle_state, write_log
+
 STEP_NS = 100_000_000
 
 
@@ -20,33 +21,29 @@ def codes(log: Any) -> list[str]:
     return [problem.code for problem in log.problems]
 
 
-def json_topic(topic: Any, values: list[dict[str, Any]], name: str = "/s", step_ns: int = STEP_NS) -> Any:
+def json_topic(values: list[dict[str, Any]], name: str = "/s", step_ns: int = STEP_NS) -> Any:
     """A topic of JSON messages without a schema."""
     messages = [(T0_NS + k * step_ns, json.dumps(value).encode()) for k, value in enumerate(values)]
-    return topic(name, messages, "", "", b"", "json")
+    return Topic(name, messages, "", "", b"", "json")
 
 
 FIELDS = '[ingest.topics."/s".fields]\nvehicle_id = "id"\nx_m = "x"\ny_m = "y"\n'
 
 
-def test_a_missing_heading_is_derived_from_the_way_and_held_while_standing(
-    topic: Any, write_log: Any, save: Any
-) -> None:
+def test_a_missing_heading_is_derived_from_the_way_and_held_while_standing(save: Any) -> None:
     places = [(0.0, 0.0), (0.0, 0.5), (0.0, 1.0), (0.0, 1.0), (0.0, 1.0), (0.0, 1.0)]
-    made = json_topic(topic, [{"id": "a", "x": x, "y": y} for x, y in places])
+    made = json_topic([{"id": "a", "x": x, "y": y} for x, y in places])
     states = read_log(save(write_log(made)), parse_config(FIELDS)).states
     assert states["heading_rad"].to_list() == pytest.approx([math.pi / 2] * 6)
     assert all(mark & 1 for mark in states["derived"])
     assert states["speed_mps"].to_list() == pytest.approx([5.0, 5.0, 2.5, 0.0, 0.0, 0.0])
 
 
-def test_a_text_for_a_number_is_unknown_and_told_once_a_channel_with_its_count(
-    topic: Any, write_log: Any, save: Any
-) -> None:
+def test_a_text_for_a_number_is_unknown_and_told_once_a_channel_with_its_count(save: Any) -> None:
     def values(wrong: int) -> list[dict[str, Any]]:
         return [{"id": "a", "x": 1.0 * k, "y": 0.0, "v": "fast" if k < wrong else 10.0} for k in range(40)]
 
-    made = (json_topic(topic, values(wrong), name) for name, wrong in (("/s", 7), ("/t", 40), ("/u", 0)))
+    made = (json_topic(values(wrong), name) for name, wrong in (("/s", 7), ("/t", 40), ("/u", 0)))
     fields = 'vehicle_id = "id"\nx_m = "x"\ny_m = "y"\nspeed_mps = "v"\n'
     log = read_log(
         save(write_log(*made)),
@@ -62,17 +59,17 @@ def test_a_text_for_a_number_is_unknown_and_told_once_a_channel_with_its_count(
     assert log.complete
 
 
-def test_a_vehicle_that_only_stands_has_no_heading(topic: Any, write_log: Any, save: Any) -> None:
-    made = json_topic(topic, [{"id": "a", "x": 1.0 + 0.001 * k, "y": 2.0} for k in range(5)])
+def test_a_vehicle_that_only_stands_has_no_heading(save: Any) -> None:
+    made = json_topic([{"id": "a", "x": 1.0 + 0.001 * k, "y": 2.0} for k in range(5)])
     states = read_log(save(write_log(made)), parse_config(FIELDS)).states
     assert states["heading_rad"].null_count() == 5
     assert states["derived"].to_list() == [0] * 5
 
 
-def test_one_gap_in_a_told_heading_is_not_filled(topic: Any, write_log: Any, save: Any) -> None:
+def test_one_gap_in_a_told_heading_is_not_filled(save: Any) -> None:
     values = [{"id": "a", "x": 1.0 * k, "y": 0.0, "yaw": 0.1} for k in range(5)]
     del values[2]["yaw"]
-    made = json_topic(topic, values)
+    made = json_topic(values)
     states = read_log(save(write_log(made)), parse_config(FIELDS + 'heading_rad = "yaw"\n')).states
     assert states["heading_rad"].to_list() == [0.1, 0.1, None, 0.1, 0.1]
 
@@ -87,37 +84,33 @@ def test_one_gap_in_a_told_heading_is_not_filled(topic: Any, write_log: Any, sav
         ("time", "t", {"seconds": 5}, 5_000_000_000),
     ],
 )
-def test_times_are_told_in_many_ways(
-    target: str, path: str, value: Any, expected_ns: int, topic: Any, write_log: Any, save: Any
-) -> None:
-    made = json_topic(topic, [{"id": "a", "x": 1.0, "y": 2.0, "t": value}])
+def test_times_are_told_in_many_ways(target: str, path: str, value: Any, expected_ns: int, save: Any) -> None:
+    made = json_topic([{"id": "a", "x": 1.0, "y": 2.0, "t": value}])
     log = read_log(save(write_log(made)), parse_config(f'{FIELDS}{target} = "{path}"\n'))
     assert log.problems == ()
     assert log.states["time_ns"].to_list() == [expected_ns]
 
 
 @pytest.mark.parametrize("value", [2**62, 1e300, -(2**62)])
-def test_times_beyond_int64_are_told(value: float, topic: Any, write_log: Any, save: Any) -> None:
-    made = json_topic(topic, [{"id": "a", "x": 1.0, "y": 2.0, "t": {"sec": value}}])
+def test_times_beyond_int64_are_told(value: float, save: Any) -> None:
+    made = json_topic([{"id": "a", "x": 1.0, "y": 2.0, "t": {"sec": value}}])
     log = read_log(save(write_log(made)), parse_config(f'{FIELDS}time = "t"\n'))
     assert (log.states.height, codes(log)) == (0, ["time_overflow"])
 
 
-def test_a_clock_that_is_set_is_told(topic: Any, write_log: Any, save: Any) -> None:
+def test_a_clock_that_is_set_is_told(save: Any) -> None:
     stamps = [0.0, 0.1, 0.2, 5.3, 5.4, 5.5, 0.6]
     values = [{"id": "a", "x": 1.0 * k, "y": 0.0, "t": stamp} for k, stamp in enumerate(stamps)]
-    log = read_log(save(write_log(json_topic(topic, values))), parse_config(FIELDS + 'time_s = "t"\n'))
+    log = read_log(save(write_log(json_topic(values))), parse_config(FIELDS + 'time_s = "t"\n'))
     assert codes(log) == ["backward_time", "clock_step"]
     by_log = read_log(
-        save(write_log(json_topic(topic, values))),
+        save(write_log(json_topic(values))),
         parse_config('[ingest]\ntime_source = "log"\n' + FIELDS + 'time_s = "t"\n'),
     )
     assert codes(by_log) == []
 
 
-def test_positions_on_the_earth_become_metres_of_a_stated_frame(
-    topic: Any, write_log: Any, save: Any
-) -> None:
+def test_positions_on_the_earth_become_metres_of_a_stated_frame(save: Any) -> None:
     # A hundredth of a degree north of Paris is 1112.1 m, east 733.0 m, by WGS 84.
     messages = []
     for k, (lat, lon) in enumerate([(48.85, 2.35), (48.86, 2.35), (48.85, 2.36)]):
@@ -130,7 +123,7 @@ def test_positions_on_the_earth_become_metres_of_a_stated_frame(
     files = descriptor_pb2.FileDescriptorSet()
     for file in (*LocationFix_pb2.DESCRIPTOR.dependencies, LocationFix_pb2.DESCRIPTOR):
         file.CopyToProto(files.file.add())
-    made = topic("/car_1/fix", messages, "foxglove.LocationFix", schema_data=files.SerializeToString())
+    made = Topic("/car_1/fix", messages, "foxglove.LocationFix", schema_data=files.SerializeToString())
     log = read_log(save(write_log(made)))
     assert log.states["vehicle_id"].unique().to_list() == ["car_1"]
     assert log.states["x_m"].to_list() == pytest.approx([0.0, 0.0, 733.97], abs=0.2)
@@ -139,9 +132,9 @@ def test_positions_on_the_earth_become_metres_of_a_stated_frame(
     assert "48.85" in log.problems[0].detail
 
 
-def test_a_vehicle_may_be_told_by_several_topics(topic: Any, write_log: Any, save: Any) -> None:
-    first = json_topic(topic, [{"id": "a", "x": 1.0 * k, "y": 0.0} for k in range(3)], "/s")
-    second = json_topic(topic, [{"id": "a", "x": 9.0, "y": 0.0}], "/u")
+def test_a_vehicle_may_be_told_by_several_topics(save: Any) -> None:
+    first = json_topic([{"id": "a", "x": 1.0 * k, "y": 0.0} for k in range(3)], "/s")
+    second = json_topic([{"id": "a", "x": 9.0, "y": 0.0}], "/u")
     second.messages[0] = (T0_NS + 50_000_000, second.messages[0][1])
     log = read_log(save(write_log(first, second)), parse_config(FIELDS + FIELDS.replace("/s", "/u")))
     assert log.states["x_m"].to_list() == [0.0, 9.0, 1.0, 2.0]
@@ -149,20 +142,18 @@ def test_a_vehicle_may_be_told_by_several_topics(topic: Any, write_log: Any, sav
     assert codes(log) == ["no_header_time", "no_header_time", "no_header_time"]
 
 
-def test_a_mapping_that_does_not_fit_is_told_in_a_line(topic: Any, write_log: Any, save: Any) -> None:
-    made = json_topic(topic, [{"id": "a", "x": "east", "y": [1]}, {"id": "a", "x": 1.0, "y": 2.0}])
+def test_a_mapping_that_does_not_fit_is_told_in_a_line(save: Any) -> None:
+    made = json_topic([{"id": "a", "x": "east", "y": [1]}, {"id": "a", "x": 1.0, "y": 2.0}])
     log = read_log(save(write_log(made)), parse_config(FIELDS))
     assert log.states.height <= 2
     assert all("\n" not in problem.detail for problem in log.problems)
     assert log.problems
 
 
-def test_small_chunks_and_none_give_the_same(
-    topic: Any, write_log: Any, save: Any, vehicle_state: Any
-) -> None:
+def test_small_chunks_and_none_give_the_same(save: Any) -> None:
     def made() -> list[Any]:
         return [
-            topic(
+            Topic(
                 f"/v{v}",
                 [
                     (T0_NS + k * STEP_NS + v, vehicle_state(T0_NS + k * STEP_NS, f"v{v}", x_m=k + 0.5 * v))
@@ -185,15 +176,13 @@ def test_small_chunks_and_none_give_the_same(
     assert all(table.equals(tables[0]) for table in tables[1:])
 
 
-def test_a_json_payload_beyond_the_limit_is_told_where_it_is_the_only_one(
-    topic: Any, write_log: Any, save: Any
-) -> None:
-    made = topic("/s", [(T0_NS, b'{"x": "' + b"a" * 5 * 2**20 + b'"}')], "", "", b"", "json")
+def test_a_json_payload_beyond_the_limit_is_told_where_it_is_the_only_one(save: Any) -> None:
+    made = Topic("/s", [(T0_NS, b'{"x": "' + b"a" * 5 * 2**20 + b'"}')], "", "", b"", "json")
     log = read_log(save(write_log(made)), parse_config(FIELDS))
     assert (log.states.height, codes(log)) == (0, ["payload"])
 
 
-def test_a_vehicle_id_that_is_no_number_is_read(topic: Any, write_log: Any, save: Any) -> None:
+def test_a_vehicle_id_that_is_no_number_is_read(save: Any) -> None:
     values = [{"id": value, "x": 1.0, "y": 2.0} for value in (float("nan"), 1.5, 1.25)]
-    log = read_log(save(write_log(json_topic(topic, values))), parse_config(FIELDS))
+    log = read_log(save(write_log(json_topic(values))), parse_config(FIELDS))
     assert sorted(log.states["vehicle_id"]) == ["1.25", "1.5", "nan"]

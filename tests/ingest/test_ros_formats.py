@@ -13,7 +13,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from istc_replay.config import parse_config
 from istc_replay.ingest.log import read_log
 
-T0_NS = 1_700_000_000_000_000_000
+from ..support.logs import T0_NS, Topic, write_log
+
 STEP_NS = 100_000_000
 BOX = parse_config('[ingest]\nodometry_reference_point = "box_centre"')
 AUTOWARE = {
@@ -61,7 +62,7 @@ def header(store: Any, time_ns: int, frame: str) -> Any:
 
 
 @pytest.fixture
-def ros_topic(topic: Any, ros2: Any) -> Callable[..., Any]:
+def ros_topic(ros2: Any) -> Callable[..., Any]:
     """A function that makes a topic of ROS 2 messages, one every 0.1 s."""
 
     def make(name: str, kind: str, messages: list[Any], start: int = 0) -> Any:
@@ -69,7 +70,7 @@ def ros_topic(topic: Any, ros2: Any) -> Callable[..., Any]:
         text, _ = ros2.generate_msgdef(kind, ros_version=2)
         times = [T0_NS + (start + k) * STEP_NS for k in range(len(data))]
         pairs = list(zip(times, data, strict=True))
-        return topic(name, pairs, kind, "ros2msg", text.encode(), "cdr")
+        return Topic(name, pairs, kind, "ros2msg", text.encode(), "cdr")
 
     return make
 
@@ -85,7 +86,7 @@ def transforms(store: Any, time_ns: int, *edges: tuple[str, str, float, float, f
     return store.types["tf2_msgs/msg/TFMessage"](made)
 
 
-def test_poses_are_of_their_topics_vehicle(ros_topic: Any, ros2: Any, write_log: Any, save: Any) -> None:
+def test_poses_are_of_their_topics_vehicle(ros_topic: Any, ros2: Any, save: Any) -> None:
     kind = ros2.types["geometry_msgs/msg/PoseStamped"]
     messages = [
         kind(header(ros2, T0_NS + k * STEP_NS, "map"), pose(ros2, 0.5 * k, 3.0, 0.0)) for k in range(5)
@@ -98,9 +99,7 @@ def test_poses_are_of_their_topics_vehicle(ros_topic: Any, ros2: Any, write_log:
     assert log.states["derived"].to_list() == [2 | 4] * 5
 
 
-def test_transforms_alone_tell_the_vehicles_in_the_root_frame(
-    ros_topic: Any, ros2: Any, write_log: Any, save: Any
-) -> None:
+def test_transforms_alone_tell_the_vehicles_in_the_root_frame(ros_topic: Any, ros2: Any, save: Any) -> None:
     # The odometry frame is turned by 90 degrees and moved; a sensor on the car is no vehicle.
     messages = [
         transforms(
@@ -121,7 +120,7 @@ def test_transforms_alone_tell_the_vehicles_in_the_root_frame(
 
 
 def test_states_move_into_the_root_frame_by_transforms_between_their_times(
-    ros_topic: Any, ros2: Any, write_log: Any, save: Any
+    ros_topic: Any, ros2: Any, save: Any
 ) -> None:
     kind = ros2.types["geometry_msgs/msg/PoseStamped"]
     poses = [kind(header(ros2, T0_NS + STEP_NS // 2, "odom"), pose(ros2, 1.0, 0.0, 0.0))]
@@ -137,7 +136,7 @@ def test_states_move_into_the_root_frame_by_transforms_between_their_times(
     assert (row["x_m"], row["y_m"]) == pytest.approx((5.0 + math.cos(0.1), 5.0 + math.sin(0.1)))
 
 
-def test_a_circle_of_transforms_is_no_trap(ros_topic: Any, ros2: Any, write_log: Any, save: Any) -> None:
+def test_a_circle_of_transforms_is_no_trap(ros_topic: Any, ros2: Any, save: Any) -> None:
     messages = [transforms(ros2, T0_NS, ("a", "b", 1.0, 0.0, 0.0), ("b", "a", 1.0, 0.0, 0.0))]
     log = read_log(save(write_log(ros_topic("/tf", "tf2_msgs/msg/TFMessage", messages))))
     assert log.states.height == 0
@@ -174,9 +173,7 @@ def predicted(store: Any, k: int, count: int) -> Any:
     return types["autoware_perception_msgs/msg/PredictedObjects"](head, objects)
 
 
-def test_predicted_objects_that_come_and_go_are_read(
-    ros_topic: Any, ros2: Any, write_log: Any, save: Any
-) -> None:
+def test_predicted_objects_that_come_and_go_are_read(ros_topic: Any, ros2: Any, save: Any) -> None:
     counts = [4, 0, 3, 1, 4, 2]
     messages = [predicted(ros2, k, count) for k, count in enumerate(counts)]
     name = "autoware_perception_msgs/msg/PredictedObjects"
@@ -192,7 +189,7 @@ def test_predicted_objects_that_come_and_go_are_read(
     assert roles == {0.0: "vehicle", 1.0: "pedestrian", 2.0: "bicycle", 3.0: "other"}
 
 
-def test_ros_1_transforms_are_read(topic: Any, write_log: Any, save: Any) -> None:
+def test_ros_1_transforms_are_read(save: Any) -> None:
     store = get_typestore(Stores.ROS1_NOETIC)
     store.register(
         get_types_from_msg("geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage")
@@ -212,13 +209,13 @@ def test_ros_1_transforms_are_read(topic: Any, write_log: Any, save: Any) -> Non
         message = types["tf2_msgs/msg/TFMessage"]([stamped])
         messages.append((time_ns, bytes(store.serialize_ros1(message, "tf2_msgs/msg/TFMessage"))))
     text, _ = store.generate_msgdef("tf2_msgs/msg/TFMessage")
-    made = topic("/tf", messages, "tf2_msgs/TFMessage", "ros1msg", text.encode(), "ros1")
+    made = Topic("/tf", messages, "tf2_msgs/TFMessage", "ros1msg", text.encode(), "ros1")
     log = read_log(save(write_log(made)), BOX)
     assert log.problems == ()
     assert log.states.select("vehicle_id", "x_m", "y_m").rows() == [("car_2", 2.0 * k, 1.0) for k in range(3)]
 
 
-def test_ros_1_odometry_is_read(topic: Any, write_log: Any, save: Any) -> None:
+def test_ros_1_odometry_is_read(save: Any) -> None:
     store = get_typestore(Stores.ROS1_NOETIC)
     types = store.types
     messages = []
@@ -237,7 +234,7 @@ def test_ros_1_odometry_is_read(topic: Any, write_log: Any, save: Any) -> None:
         )
         messages.append((time_ns + 3, bytes(store.serialize_ros1(message, "nav_msgs/msg/Odometry"))))
     text, _ = store.generate_msgdef("nav_msgs/msg/Odometry")
-    made = topic("/odom", messages, "nav_msgs/Odometry", "ros1msg", text.encode(), "ros1")
+    made = Topic("/odom", messages, "nav_msgs/Odometry", "ros1msg", text.encode(), "ros1")
     path = save(write_log(made))
     states = read_log(path, BOX).states
     assert states.select("vehicle_id", "time_ns", "x_m", "y_m", "speed_mps").rows() == [

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +11,7 @@ import pytest
 from istc_replay.ingest.records import MAGIC
 from istc_replay.ingest.walk import open_log
 
+from ..support.logs import Topic, write_log
 from ..support.mcap_bytes import T0_NS, codes, make, walk
 
 GROUPS = ["NoData", "OneAttachment", "OneMessage", "OneMetadata", "OneSchemalessMessage", "TenMessages"]
@@ -46,35 +46,31 @@ def test_every_conformance_file_is_read_exactly(shared_logs: Path, group: str) -
         assert log.problems == ()
 
 
-def test_joined_files_are_read_one_after_the_other(write_log: Callable[..., bytes], topic: Any) -> None:
-    data = make("lz4", write_log, topic)
+def test_joined_files_are_read_one_after_the_other() -> None:
+    data = make("lz4")
     log, messages = walk(data + data)
     assert messages == walk(data)[1] * 2
     assert "joined_files" in codes(log)
     assert "statistics" not in codes(log)
 
 
-def test_a_repeated_walk_gives_the_same(write_log: Callable[..., bytes], topic: Any) -> None:
-    log = open_log(make("zstd", write_log, topic)[:-30])
+def test_a_repeated_walk_gives_the_same() -> None:
+    log = open_log(make("zstd")[:-30])
     first, problems = list(log.messages()), log.problems
     assert [m[1:] for m in log.messages()] == [m[1:] for m in first]
     assert log.problems == problems
 
 
-def test_only_wanted_channels_are_given_but_all_are_counted(
-    write_log: Callable[..., bytes], topic: Any
-) -> None:
-    log = open_log(make("zstd", write_log, topic))
+def test_only_wanted_channels_are_given_but_all_are_counted() -> None:
+    log = open_log(make("zstd"))
     given_topics = {m.channel.topic for m in log.messages(lambda channel: channel.topic == "/b")}
     assert given_topics == {"/b"}
     assert {channel.topic: count for channel, count in log.counts.items()} == {"/a": 12, "/b": 12}
     assert (log.message_count, log.start_ns, log.end_ns) == (24, T0_NS, T0_NS + 111)
 
 
-def test_attachments_and_metadata_are_read_and_checked(write_log: Callable[..., bytes], topic: Any) -> None:
-    data = make(
-        "", write_log, topic, attachments=[("config.toml", b"unit_s = 1")], metadata=[("who", {"a": "b"})]
-    )
+def test_attachments_and_metadata_are_read_and_checked() -> None:
+    data = make("", attachments=[("config.toml", b"unit_s = 1")], metadata=[("who", {"a": "b"})])
     log, _ = walk(data)
     assert [(a.name, log.attachment_data(a)) for a in log.attachments] == [("config.toml", b"unit_s = 1")]
     assert [(m.name, m.metadata) for m in log.metadata] == [("who", {"a": "b"})]
@@ -84,8 +80,8 @@ def test_attachments_and_metadata_are_read_and_checked(write_log: Callable[..., 
     assert not log.complete
 
 
-def test_the_profile_and_the_spans_of_channels_are_told(write_log: Callable[..., bytes], topic: Any) -> None:
-    made = [topic("/a", [(T0_NS + 5, b""), (T0_NS, b"")]), topic("/b", [(T0_NS + 9, b"")]), topic("/c", [])]
+def test_the_profile_and_the_spans_of_channels_are_told() -> None:
+    made = [Topic("/a", [(T0_NS + 5, b""), (T0_NS, b"")]), Topic("/b", [(T0_NS + 9, b"")]), Topic("/c", [])]
     log, _ = walk(write_log(*made))
     spans = {channel.topic: span for channel, span in log.spans.items()}
     assert spans == {"/a": (T0_NS, T0_NS + 5), "/b": (T0_NS + 9, T0_NS + 9)}

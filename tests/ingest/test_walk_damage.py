@@ -6,9 +6,7 @@ import io
 import os
 import struct
 from collections import Counter
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -102,10 +100,8 @@ def library_messages(data: bytes) -> list[tuple[int, bytes]]:
 @pytest.mark.parametrize("kind", LIBRARY)
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(share=st.floats(0.0, 1.0, exclude_max=True))
-def test_a_file_cut_anywhere_gives_exactly_the_messages_of_its_whole_records(
-    share: float, kind: str, write_log: Callable[..., bytes], topic: Any
-) -> None:
-    data = make(kind, write_log, topic)
+def test_a_file_cut_anywhere_gives_exactly_the_messages_of_its_whole_records(share: float, kind: str) -> None:
+    data = make(kind)
     cut = len(MAGIC) + int(share * (len(data) - len(MAGIC)))
     # What the reference library reads from the whole records alone, closed by a data end.
     end = max(
@@ -123,9 +119,9 @@ def test_a_file_cut_anywhere_gives_exactly_the_messages_of_its_whole_records(
 @settings(max_examples=150, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(share=st.floats(0.0, 1.0, exclude_max=True), flip=st.integers(1, 255))
 def test_a_flipped_byte_never_raises_and_never_changes_the_messages_in_silence(
-    share: float, flip: int, kind: str, write_log: Callable[..., bytes], topic: Any
+    share: float, flip: int, kind: str
 ) -> None:
-    data = bytearray(make(kind, write_log, topic, enable_data_crcs=kind == "no"))
+    data = bytearray(make(kind, enable_data_crcs=kind == "no"))
     original = walk(bytes(data))[1]
     data[int(share * len(data))] ^= flip
     log, messages = walk(bytes(data))
@@ -139,13 +135,11 @@ def test_noise_after_the_magic_never_raises(noise: bytes) -> None:
     assert not log.complete
 
 
-def test_a_damaged_chunk_takes_only_its_own_messages_and_the_summary_lends_the_channels(
-    write_log: Callable[..., bytes], topic: Any
-) -> None:
-    data = bytearray(make("", write_log, topic))
+def test_a_damaged_chunk_takes_only_its_own_messages_and_the_summary_lends_the_channels() -> None:
+    data = bytearray(make(""))
     first_chunk_end = next(end for opcode, end in top_level(bytes(data)) if opcode == 0x06)
     data[first_chunk_end - 1] ^= 0xFF
-    original = walk(make("", write_log, topic))[1]
+    original = walk(make(""))[1]
     log, messages = walk(bytes(data))
     # The channels were declared in that chunk alone.
     assert messages == original[len(original) - len(messages) :]
@@ -153,10 +147,8 @@ def test_a_damaged_chunk_takes_only_its_own_messages_and_the_summary_lends_the_c
     assert {problem.code: problem.offset for problem in log.problems}["chunk_crc"] is not None
 
 
-def test_a_lying_length_is_left_at_the_next_chunk_that_the_summary_knows(
-    write_log: Callable[..., bytes], topic: Any
-) -> None:
-    data = bytearray(make("zstd", write_log, topic))
+def test_a_lying_length_is_left_at_the_next_chunk_that_the_summary_knows() -> None:
+    data = bytearray(make("zstd"))
     original = walk(bytes(data))[1]
     ends = [end for opcode, end in top_level(bytes(data)) if opcode == 0x07]
     for lie in (2**62, 3000, 5):

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
-from typing import Any
 
 import zstandard
 
@@ -40,8 +38,8 @@ def test_missing_schemas_and_bad_text_are_told() -> None:
     assert codes(log) == {"missing_schema", "not_utf8"}
 
 
-def test_one_damaged_magic_does_not_hide_the_log(write_log: Callable[..., bytes], topic: Any) -> None:
-    data = make("", write_log, topic)
+def test_one_damaged_magic_does_not_hide_the_log() -> None:
+    data = make("")
     expected = walk(data)[1]
     for damaged in (b"?" + data[1:], data[:-1] + b"?"):
         log, messages = walk(damaged)
@@ -49,10 +47,8 @@ def test_one_damaged_magic_does_not_hide_the_log(write_log: Callable[..., bytes]
         assert "no_magic" in codes(log)
 
 
-def test_statistics_that_state_more_than_is_there_tell_of_a_loss(
-    write_log: Callable[..., bytes], topic: Any
-) -> None:
-    data = bytearray(make("no", write_log, topic))
+def test_statistics_that_state_more_than_is_there_tell_of_a_loss() -> None:
+    data = bytearray(make("no"))
     records = top_level(bytes(data))
     first = next(index for index, (opcode, _) in enumerate(records) if opcode == 0x05)
     data[records[first - 1][1]] = 0x90  # the first message becomes a private record

@@ -24,7 +24,8 @@ from istc_replay.config import parse_config
 from istc_replay.ingest.log import read_log
 from istc_replay.pipeline.convert import Converted, convert_recording
 
-T0_NS = 1_700_000_000_000_000_000
+from ..support.logs import T0_NS
+
 DEFINITION = b"string text\n"
 #: Topic, log time, payload.
 Row = tuple[str, int, bytes]

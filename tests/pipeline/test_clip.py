@@ -16,7 +16,8 @@ from istc_replay.ingest.records import Channel, Schema
 from istc_replay.pipeline.audit import audit_read
 from istc_replay.pipeline.clip import Around, Between, clip_log, is_standing, moment_ns
 
-T0_NS = 1_700_000_000_000_000_000
+from ..support.logs import T0_NS
+
 SAMPLE = Path(__file__).resolve().parents[2] / "sample_logs/intersection_turn_first.mcap"
 
 

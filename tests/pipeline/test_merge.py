@@ -13,7 +13,7 @@ from istc_replay.errors import UsageError
 from istc_replay.ingest.walk import open_log
 from istc_replay.pipeline.merge import merge_logs
 
-T0_NS = 1_700_000_000_000_000_000
+from ..support.logs import T0_NS
 
 
 @pytest.fixture

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -12,7 +11,8 @@ from mcap.writer import CompressionType
 from istc_replay.ingest.records import MAGIC
 from istc_replay.ingest.walk import LogFile, open_log
 
-T0_NS = 1_700_000_000_000_000_000
+from .logs import T0_NS, Topic, write_log
+
 Payload = tuple[str, int, int, int, bytes]
 
 
@@ -59,10 +59,10 @@ LIBRARY = {
 }
 
 
-def make(kind: str, write_log: Callable[..., bytes], topic: Any, **options: Any) -> bytes:
+def make(kind: str, **options: Any) -> bytes:
     """A log of two topics and 24 messages, in chunks of about four, or without chunks."""
     topics = [
-        topic(
+        Topic(
             name,
             [(T0_NS + 10 * k + offset, bytes([k]) * 20) for k in range(12)],
             "s",
