@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-import io
+import itertools
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Literal
 
 import polars as pl
+from pyarrow.parquet import ParquetWriter
 
 from istc_replay.datatypes import Log, Result
 from istc_replay.errors import ExportError
@@ -37,7 +39,28 @@ def result_tables(result: Result) -> dict[str, pl.DataFrame]:
     }
 
 
-def write_tables(tables: Mapping[str, pl.DataFrame], folder: Path, formats: Sequence[Format]) -> list[Path]:
+def by_source(parts: Iterable[pl.DataFrame], spool: Path) -> Iterator[pl.DataFrame]:
+    """The states of plans in the order of a result, by source, of parts with those of all sources.
+
+    Parameters
+    ----------
+    parts : iterable of DataFrame
+        Each is kept in a file until its turn comes.
+    spool : Path
+        The folder for these.
+    """
+    pieces: dict[str, list[Path]] = {source: [] for source in ("planned", "rejected", "guidance")}
+    for number, part in enumerate(parts):
+        for source, own in pieces.items():
+            own.append(spool / f"{source}_{number}.parquet")
+            part.filter(pl.col("source") == source).write_parquet(own[-1])
+    for piece in itertools.chain(*pieces.values()):
+        yield pl.read_parquet(piece)
+
+
+def write_tables(
+    tables: Mapping[str, pl.DataFrame | Iterable[pl.DataFrame]], folder: Path, formats: Sequence[Format]
+) -> list[Path]:
     """Write each table as `<folder>/<name>.<format>`, each file whole or not at all.
 
     In CSV, lists are joined by spaces, a null is an empty field and an empty text is `""`. Texts
@@ -46,8 +69,8 @@ def write_tables(tables: Mapping[str, pl.DataFrame], folder: Path, formats: Sequ
 
     Parameters
     ----------
-    tables : mapping of str to DataFrame
-        Tables by name.
+    tables : mapping of str to DataFrame or iterable of DataFrame
+        Tables by name, or their pieces one after the other, of which there is one at least.
     folder : Path
         Made where it is missing.
     formats : sequence of {"parquet", "csv"}
@@ -72,24 +95,45 @@ def write_tables(tables: Mapping[str, pl.DataFrame], folder: Path, formats: Sequ
     prepare_folder(folder)
     written = []
     for name, table in tables.items():
-        for format_ in formats:
-            path = folder / f"{name}.{format_}"
-            with atomic_file(path) as temporary:
-                temporary.write_bytes(_WRITERS[format_](table))
-            written.append(path)
+        paths = [folder / f"{name}.{format_}" for format_ in formats]
+        with ExitStack() as files:
+            writers = [
+                files.enter_context(_WRITERS[format_](files.enter_context(atomic_file(path))))
+                for format_, path in zip(formats, paths, strict=True)
+            ]
+            for piece in [table] if isinstance(table, pl.DataFrame) else table:
+                for write in writers:
+                    write(piece)
+        written += paths
     return written
 
 
-def _parquet(table: pl.DataFrame) -> bytes:
-    stream = io.BytesIO()
-    table.write_parquet(stream)
-    return stream.getvalue()
+@contextmanager
+def _parquet(path: Path) -> Iterator[Callable[[pl.DataFrame], None]]:
+    writer: ParquetWriter | None = None
+
+    def write(piece: pl.DataFrame) -> None:
+        nonlocal writer
+        table = piece.to_arrow()
+        if writer is None:
+            writer = ParquetWriter(path, table.schema, compression="zstd")
+        writer.write_table(table)
+
+    yield write
+    if writer is not None:
+        writer.close()
 
 
-def _csv(table: pl.DataFrame) -> bytes:
-    lists = [name for name, dtype in table.schema.items() if isinstance(dtype, pl.List)]
-    flat = table.with_columns(pl.col(name).cast(pl.List(pl.String)).list.join(" ") for name in lists)
-    return flat.write_csv().encode()
+@contextmanager
+def _csv(path: Path) -> Iterator[Callable[[pl.DataFrame], None]]:
+    with path.open("wb") as file:
+
+        def write(piece: pl.DataFrame) -> None:
+            lists = [name for name, dtype in piece.schema.items() if isinstance(dtype, pl.List)]
+            flat = piece.with_columns(pl.col(name).cast(pl.List(pl.String)).list.join(" ") for name in lists)
+            flat.write_csv(file, include_header=file.tell() == 0)
+
+        yield write
 
 
 _WRITERS = {"parquet": _parquet, "csv": _csv}

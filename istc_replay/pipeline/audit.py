@@ -13,6 +13,7 @@ if TYPE_CHECKING:
     from istc_replay.config import Config
     from istc_replay.datatypes import Result
     from istc_replay.export.audit import AuditFormat, Severity
+    from istc_replay.pipeline.reading import Reading
     from istc_replay.safety.log_audit import Audit
 
 #: What a clip has on either side of its encounter or finding.
@@ -35,13 +36,23 @@ def audit_path(
     """
     from istc_replay.config import Config
     from istc_replay.ingest.log import read_log
-    from istc_replay.ingest.result import is_result, load_result_folder
+    from istc_replay.ingest.result import is_result
+    from istc_replay.pipeline.reading import read_in_parts
     from istc_replay.safety.log_audit import audit_log
 
     if is_result(source):
-        return audit_loaded(load_result_folder(source), config)
+        return audit_reading(read_in_parts(source), config)
     settings = config or Config()
     return audit_log(read_log(source, settings, reading), settings)
+
+
+def audit_reading(found: Reading, config: Config | None = None) -> Audit:
+    """Audit a result that is read, part by part where it is long."""
+    from istc_replay.config import parse_config
+    from istc_replay.safety.result_audit import audit_result
+
+    settings = config or parse_config(found.result.config_toml)
+    return audit_result(found.result, settings, found.recorded(), found.plans())
 
 
 def audit_loaded(result: Result, config: Config | None = None) -> Audit:

@@ -13,9 +13,9 @@ def write_figures(source: Path, folder: Path, formats: Sequence[Literal["png", "
     """Draw every window of a result (its folder or result.mcap); returns the files."""
     from istc_replay.export.atomic import atomic_file, prepare_folder
     from istc_replay.export.figures import draw_figures, figure_bytes
-    from istc_replay.pipeline.reading import read_for_show
+    from istc_replay.pipeline.reading import read_in_parts
 
-    reading = read_for_show(source)
+    reading = read_in_parts(source)
     prepare_folder(folder)
     files = []
     for part in reading.each():

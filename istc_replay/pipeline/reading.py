@@ -1,4 +1,4 @@
-"""Results as they are shown: whole, or where they are long a part after the other."""
+"""Results as they are shown, judged and written as tables: whole, or where they are long in parts."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from istc_replay.ingest.result import load_result_folder, read_result, result_file
-from istc_replay.ingest.result_states import result_parts, window_states
+from istc_replay.ingest.result_states import plan_parts, recorded_states, result_parts, window_states
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -23,7 +23,7 @@ PART_WINDOWS = 16
 
 @dataclass(frozen=True, slots=True)
 class Reading:
-    """A result to be shown: `result` is without its states where there are `parts`."""
+    """A result that is read: `result` is without its states where there are `parts`."""
 
     source: Path
     result: Result
@@ -38,6 +38,19 @@ class Reading:
         """The parts of the result, each with some of its windows."""
         return iter([self.result]) if self.parts is None else self.parts()
 
+    def recorded(self) -> pl.DataFrame:
+        """All recorded states."""
+        if self.parts is None:
+            return self.result.states.filter(pl.col("source") == "recorded")
+        return recorded_states(self.source, self.result)
+
+    def plans(self) -> Iterator[Result]:
+        """All states but the recorded ones, each once, with the tables of their windows."""
+        if self.parts is None:
+            states = self.result.states.filter(pl.col("source") != "recorded")
+            return iter([replace(self.result, states=states)])
+        return plan_parts(self.source, self.result, PART_WINDOWS)
+
     def vehicles(self) -> dict[str, int]:
         """Everybody of whom there is a state, with the time of the first [ns]."""
         first: dict[str, int] = {}
@@ -50,8 +63,8 @@ class Reading:
         return window_states(self.source, self.result, windows)
 
 
-def read_for_show(source: Path) -> Reading:
-    """Read a result's folder or file to show it; memory does not grow with its states where it is long.
+def read_in_parts(source: Path) -> Reading:
+    """Read a result's folder or file; of the states of a long one no more than some windows' are held.
 
     Raises
     ------

@@ -44,7 +44,7 @@ def run_log(
         If an output cannot be written whole; nothing half-written stays.
     """
     from istc_replay.export.atomic import prepare_folder
-    from istc_replay.pipeline.reading import read_for_show
+    from istc_replay.pipeline.reading import read_in_parts
 
     stages = Stages()
     prepare_folder(folder)
@@ -65,7 +65,7 @@ def run_log(
     write_run(done, folder, config, path.name, stages)
     clear_work(folder)
     if live is not None:
-        live.finish(read_for_show(folder / RESULT), config)
+        live.finish(read_in_parts(folder / RESULT), config)
     return done
 
 
@@ -85,11 +85,11 @@ def write_run(
         If an output cannot be written whole; nothing half-written stays.
     """
     from istc_replay.export.atomic import atomic_file
-    from istc_replay.pipeline.reading import read_for_show
+    from istc_replay.pipeline.reading import read_in_parts
 
     timing = stages or Stages()
     with timing.stage("reading_back"):
-        found = read_for_show(folder / RESULT)
+        found = read_in_parts(folder / RESULT)
     if "view.rrd" in products:
         with timing.stage("view_rrd"):
             from istc_replay.export.rerun_view import write_view

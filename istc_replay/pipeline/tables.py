@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import itertools
 import json
+import tempfile
+from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from istc_replay.errors import UsageError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
+    from collections.abc import Callable, Iterable, Sequence
+
+    import polars as pl
 
     from istc_replay.config import Config
 
@@ -47,7 +51,7 @@ def write_layout(source: Path, folder: Path) -> Path:
     from istc_replay.export.foxglove_layout import foxglove_layout
     from istc_replay.ingest.result import load_result_folder
 
-    layout = foxglove_layout(load_result_folder(source))
+    layout = foxglove_layout(load_result_folder(source, states=False))
     path = prepare_folder(folder) / LAYOUT
     with atomic_file(path) as file:
         file.write_text(json.dumps(layout, indent=1) + "\n", encoding="utf-8")
@@ -62,18 +66,23 @@ def export_tables(
     reading: Callable[[int, int], None] | None = None,
 ) -> tuple[bool, list[Path]]:
     """Write the tables of a log or a result and of its audit; returns whether it was whole, and the files."""
+    from istc_replay.export.atomic import prepare_folder
     from istc_replay.export.audit import audit_tables
-    from istc_replay.export.tables import log_tables, result_tables, write_tables
+    from istc_replay.export.tables import by_source, log_tables, result_tables, write_tables
     from istc_replay.ingest.log import read_log
-    from istc_replay.ingest.result import is_result, load_result_folder
-    from istc_replay.pipeline.audit import audit_loaded
+    from istc_replay.ingest.result import is_result
+    from istc_replay.pipeline.audit import audit_reading
+    from istc_replay.pipeline.reading import read_in_parts
     from istc_replay.safety.log_audit import audit_log
 
     if is_result(source):
-        result = load_result_folder(source)
-        # What the file has itself goes before what is made anew.
-        tables = audit_tables(audit_loaded(result)) | result_tables(result)
-        return True, write_tables(tables, folder, formats)
+        found = read_in_parts(source)
+        with tempfile.TemporaryDirectory(prefix=".istc-export-", dir=prepare_folder(folder)) as spool:
+            # What the file has itself goes before what is made anew.
+            tables: dict[str, pl.DataFrame | Iterable[pl.DataFrame]]
+            tables = {**audit_tables(audit_reading(found)), **result_tables(found.result)}
+            plans = (part.states for part in found.plans())
+            tables["states"] = itertools.chain([found.recorded()], by_source(plans, Path(spool)))
+            return True, write_tables(tables, folder, formats)
     log = read_log(source, config, reading)
-    tables = log_tables(log) | audit_tables(audit_log(log, config))
-    return log.complete, write_tables(tables, folder, formats)
+    return log.complete, write_tables(log_tables(log) | audit_tables(audit_log(log, config)), folder, formats)

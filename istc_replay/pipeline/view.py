@@ -18,7 +18,7 @@ from istc_replay.export.rerun_view import Opening, write_view
 from istc_replay.export.rerun_viewer import send_view, start_viewer
 from istc_replay.export.web_bundle import write_bundle
 from istc_replay.export.web_server import folder_server
-from istc_replay.pipeline.reading import Reading, read_for_show
+from istc_replay.pipeline.reading import Reading, read_in_parts
 from istc_replay.units import NS_PER_S
 
 if TYPE_CHECKING:
@@ -86,7 +86,7 @@ def open_view(
     UsageError
         If the result has no such instant, finding or vehicle.
     """
-    reading = read_for_show(source)
+    reading = read_in_parts(source)
     result = reading.result
     config = parse_config(result.config_toml, f"{source}: config.toml").view
     origin_ns, first_ns, last_ns = _times(result)

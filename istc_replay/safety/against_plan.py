@@ -6,6 +6,7 @@ recording; both sides of every comfort figure then pass the same filter at the s
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -14,12 +15,12 @@ import polars as pl
 from numpy.typing import NDArray
 
 from istc_replay.config import AuditConfig, Config
-from istc_replay.datatypes import FloatArray, Result
+from istc_replay.datatypes import FloatArray, Result, StaticScene
 from istc_replay.geometry import to_frame, to_map
 from istc_replay.safety.bodies import Body, recorded_bodies
 from istc_replay.safety.case import Case, build_case
 from istc_replay.safety.findings import Finding, make_finding
-from istc_replay.safety.plan import written_plans
+from istc_replay.safety.plan import WrittenPlan, written_plans
 from istc_replay.safety.recorded import Track, recorded_tracks
 from istc_replay.safety.rules import CORRIDOR_RULE
 from istc_replay.safety.vehicle_samples import smoothed_motion
@@ -50,15 +51,33 @@ def against_plan(result: Result, config: Config) -> pl.DataFrame:
         was recorded in the plan's span, the figures are null.
     """
     recorded = {body.name: body for body in recorded_bodies(recorded_rows(result), config.vehicles)}
-    tracks, rows = recorded_tracks(result.states), []
-    with np.errstate(all="ignore"):
-        for plan in written_plans(result):
-            case = build_case(plan, tracks, result.scene, config) if plan.plans else None
-            if case is None:
-                continue
-            for row, name in enumerate(case.driven):
-                if case.motion.judged[row]:
-                    rows.append(_row(case, row, recorded.get(name), config.audit))
+    tracks, rows = recorded_tracks(result.states), list[dict[str, Any]]()
+    for plan in written_plans([result]):
+        rows += compared_rows(plan, tracks, recorded, result.scene, config)
+    return against_plan_table(rows)
+
+
+@np.errstate(all="ignore")
+def compared_rows(
+    plan: WrittenPlan,
+    tracks: Mapping[str, Track],
+    recorded: Mapping[str, Body],
+    scene: StaticScene,
+    config: Config,
+) -> list[dict[str, Any]]:
+    """Rows of AGAINST_PLAN_SCHEMA of one window's plan; `tracks` and `recorded` are those of all vehicles."""
+    case = build_case(plan, tracks, scene, config) if plan.plans else None
+    if case is None:
+        return []
+    return [
+        _row(case, row, recorded.get(name), config.audit)
+        for row, name in enumerate(case.driven)
+        if case.motion.judged[row]
+    ]
+
+
+def against_plan_table(rows: Sequence[dict[str, Any]]) -> pl.DataFrame:
+    """The table of such rows."""
     table = pl.DataFrame(rows, schema=AGAINST_PLAN_SCHEMA) if rows else AGAINST_PLAN_SCHEMA.to_frame()
     return conform(table.with_columns(pl.col(pl.Float64).fill_nan(None)), AGAINST_PLAN_SCHEMA)
 

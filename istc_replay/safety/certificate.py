@@ -80,11 +80,8 @@ def certify(result: Result, config: Config) -> tuple[Certificate, ...]:
         One a check and window; none for a window that has no plan.
     """
     tracks = recorded_tracks(result.states, vehicles_only=False)
-    certificates: list[Certificate] = []
-    with np.errstate(all="ignore"):  # NaN and infinity are judged, not warned of
-        for plan in written_plans(result):
-            certificates += _window_certificates(plan, tracks, result.scene, config)
-    return tuple(certificates)
+    plans = written_plans([result])
+    return tuple(check for plan in plans for check in certify_plan(plan, tracks, result.scene, config))
 
 
 def overall(certificates: Iterable[Certificate]) -> Verdict:
@@ -96,9 +93,11 @@ def overall(certificates: Iterable[Certificate]) -> Verdict:
     return Verdict.NOT_APPLICABLE
 
 
-def _window_certificates(
+@np.errstate(all="ignore")  # NaN and infinity are judged, not warned of
+def certify_plan(
     plan: WrittenPlan, tracks: Mapping[str, Track], scene: StaticScene, config: Config
 ) -> list[Certificate]:
+    """Certify one window's plan; `tracks` are those of all that was recorded, also of no vehicles."""
     case = build_case(plan, tracks, scene, config)
     if case is None:
         detail = "not judged: the plan has too many pieces of time"

@@ -7,7 +7,7 @@ the checks then cannot pass.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -108,27 +108,32 @@ class _UnsoundError(Exception):
         self.time_s = None if time_ns is None else time_ns / NS_PER_S
 
 
-def written_plans(result: Result) -> Iterator[WrittenPlan]:
-    """Read the plans of all windows that have one, by index."""
+def written_plans(parts: Iterable[Result]) -> Iterator[WrittenPlan]:
+    """Read the plans of all windows that have one, by index; parts have other windows each, in order."""
+    before: WrittenPlan | None = None
+    for part in parts:
+        for plan in _plans_of(part):
+            plan.before = before if before is not None and before.index == plan.index - 1 else None
+            before = replace(plan, before=None)
+            yield plan
+
+
+def _plans_of(result: Result) -> Iterator[WrittenPlan]:
     entries = _window_entries(result.summary)
     planned = _by_window(result.states.filter(pl.col("source") == "planned"))
     corridors, obstacles = _by_window(result.corridors), _by_window(result.obstacles)
-    before: WrittenPlan | None = None
     for index in sorted({*entries, *planned, *corridors}):
         entry = entries.get(index, {})
         without = entry.get("status") in _WITHOUT_PLAN or index not in corridors
         if index in planned or not without:
             cubes, states = corridors.get(index), planned.get(index)
-            plan = _written_plan(
+            yield _written_plan(
                 index,
                 entry,
                 result.corridors.clear() if cubes is None else cubes,
                 result.states.clear() if states is None else states,
                 obstacles.get(index, result.obstacles.clear()),
             )
-            plan.before = before if before is not None and before.index == index - 1 else None
-            before = replace(plan, before=None)
-            yield plan
 
 
 def _as_recorded(entry: dict[str, Any]) -> tuple[str, ...]:

@@ -2,22 +2,32 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import polars as pl
 
 from istc_replay.config import Config
 from istc_replay.datatypes import Certificate, Log, Result
-from istc_replay.safety.against_plan import against_plan, recorded_rows
-from istc_replay.safety.certificate import certify
+from istc_replay.safety.against_plan import against_plan_table, compared_rows, recorded_rows
+from istc_replay.safety.bodies import recorded_bodies
+from istc_replay.safety.certificate import certify_plan
 from istc_replay.safety.clocks import CLOCK_RULES, Clock
 from istc_replay.safety.log_audit import Audit, audit_log
+from istc_replay.safety.plan import written_plans
+from istc_replay.safety.recorded import recorded_tracks
 from istc_replay.safety.solver_record import with_solver_record
 from istc_replay.states import CERTIFICATES_SCHEMA, STATES_SCHEMA, conform
 from istc_replay.units import seconds_to_ns
 
 
-def audit_result(result: Result, config: Config) -> Audit:
+def audit_result(
+    result: Result,
+    config: Config,
+    recorded: pl.DataFrame | None = None,
+    parts: Iterable[Result] | None = None,
+) -> Audit:
     """Audit a result from its tables alone.
 
     Parameters
@@ -27,6 +37,8 @@ def audit_result(result: Result, config: Config) -> Audit:
         found of them when it was made is taken over.
     config : Config
         The thresholds, and what the plans promise.
+    recorded, parts : DataFrame and iterable of Result, optional
+        Its recorded states, and its plans part by part, where it is without states.
 
     Returns
     -------
@@ -42,17 +54,32 @@ def audit_result(result: Result, config: Config) -> Audit:
         )
         for row in result.findings.filter(pl.col("rule").is_in(CLOCK_RULES)).iter_rows(named=True)
     ]
-    found = audit_log(recorded_log(result), config, against_plan(result, config), clocks)
+    states = recorded_rows(result) if recorded is None else recorded
+    certificates, against = _judged([result] if parts is None else parts, states, result, config)
+    found = audit_log(recorded_log(result, states), config, against, clocks)
     windows = result.summary.get("windows") or ()
     found = with_solver_record(found, windows, config)
     starts = [window["start_ns"] for window in windows]
     origin_ns = min(starts, default=found.log.start_ns or 0)
-    return replace(found, certificates=_table(certify(result, config), result), origin_ns=origin_ns)
+    return replace(found, certificates=_table(certificates, result), origin_ns=origin_ns)
 
 
-def recorded_log(result: Result) -> Log:
-    """What a result has of its log; messages are counted within the result's own topics."""
-    rows = recorded_rows(result)
+def _judged(
+    parts: Iterable[Result], recorded: pl.DataFrame, result: Result, config: Config
+) -> tuple[list[Certificate], pl.DataFrame]:
+    """The certificates of all plans, and what was recorded against them."""
+    everybody = recorded_tracks(recorded, vehicles_only=False)
+    vehicles = recorded_tracks(recorded)
+    bodies = {body.name: body for body in recorded_bodies(recorded, config.vehicles)}
+    certificates, rows = list[Certificate](), list[dict[str, Any]]()
+    for plan in written_plans(parts):
+        certificates += certify_plan(plan, everybody, result.scene, config)
+        rows += compared_rows(plan, vehicles, bodies, result.scene, config)
+    return certificates, against_plan_table(rows)
+
+
+def recorded_log(result: Result, rows: pl.DataFrame) -> Log:
+    """What a result has of its log: its recorded states; messages are counted within its own topics."""
     states = rows.with_columns(log_time_ns=pl.col("time_ns"), publish_time_ns=pl.col("time_ns"))
     states = states.drop("source", "window")
     told = result.summary.get("input") or {}
@@ -73,7 +100,7 @@ def recorded_log(result: Result) -> Log:
     )
 
 
-def _table(certificates: tuple[Certificate, ...], result: Result) -> pl.DataFrame:
+def _table(certificates: Sequence[Certificate], result: Result) -> pl.DataFrame:
     starts = {window["index"]: window["start_ns"] for window in result.summary.get("windows") or ()}
     rows = [
         {

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import polars as pl
 import pytest
 from polars.testing import assert_frame_equal
 
 from istc_replay.datatypes import Result
+from istc_replay.errors import LogError
 from istc_replay.ingest.result import read_result
-from istc_replay.ingest.result_states import result_parts, window_states
+from istc_replay.ingest.result_states import plan_parts, recorded_states, result_parts, window_states
 
 S = 1_000_000_000
 
@@ -68,3 +71,37 @@ def test_a_result_without_windows_is_one_part(synthetic_plan: tuple) -> None:  #
     data = result_bytes(synthetic_plan[0], [], [], {"windows": []}, "", {})
     (part,) = result_parts(data, read_result(data, states=False), 16)
     assert_frame_equal(part.states, read_result(data).states)
+
+
+@pytest.mark.parametrize("windows", [1, 2, 5, 9])
+def test_plans_in_parts_and_what_was_recorded_are_the_whole_each_state_once(
+    long_bytes: bytes, head: Result, whole: Result, windows: int
+) -> None:
+    recorded = pl.col("source") == "recorded"
+    assert_frame_equal(recorded_states(long_bytes, head), whole.states.filter(recorded))
+    parts = list(plan_parts(long_bytes, head, windows))
+    order = ("source", "window", "vehicle_id", "time_ns")
+    assert_frame_equal(
+        pl.concat([part.states for part in parts]).sort(order), whole.states.filter(~recorded).sort(order)
+    )
+    for name in ("corridors", "obstacles", "certificates"):
+        assert_frame_equal(pl.concat([getattr(part, name) for part in parts]), getattr(whole, name))
+
+
+def test_plans_of_windows_that_the_summary_does_not_list_come_last(long_bytes: bytes, head: Result) -> None:
+    windows = [window for window in head.summary["windows"] if window["index"] != 2]
+    told = replace(head, summary=head.summary | {"windows": windows})
+    *others, last = plan_parts(long_bytes, told, 2)
+    assert {index for part in others for index in part.states["window"]} == {0, 1}
+    assert set(last.states["window"]) == set(last.corridors["window"]) == {2, 3, 4}
+
+
+def test_states_far_from_their_window_are_not_left_out_without_a_word(
+    long_bytes: bytes, head: Result
+) -> None:
+    windows = [dict(window) for window in head.summary["windows"]]
+    for window in windows:
+        window["start_ns"] -= 60 * S * (window["index"] == 4)
+        window["end_ns"] -= 60 * S * (window["index"] == 4)
+    with pytest.raises(LogError, match="far from their windows; make it again"):
+        list(plan_parts(long_bytes, replace(head, summary=head.summary | {"windows": windows}), 1))

@@ -92,7 +92,7 @@ def test_a_finding_opens_where_it_is_worst_and_shows_its_vehicles(
     ]
     findings = conform(pl.DataFrame(rows), FINDINGS_SCHEMA)
     found = replace(synthetic_result, findings=findings)
-    monkeypatch.setattr(pipeline_view, "read_for_show", lambda path: Reading(path, found))
+    monkeypatch.setattr(pipeline_view, "read_in_parts", lambda path: Reading(path, found))
     opened = open_view(folder, finding="ac")
     assert opened.instant_ns == 2 * S
     assert opened.opening.focus == ("car 2", "car 3")

@@ -22,7 +22,7 @@ from ..support.written import Scene
 
 
 def case_of(scene: Any, config: Config | None = None) -> Case:
-    case = build_case(next(written_plans(scene.result())), {}, StaticScene(), config or Config())
+    case = build_case(next(written_plans([scene.result()])), {}, StaticScene(), config or Config())
     assert case is not None
     return case
 
@@ -174,7 +174,7 @@ def test_knots_a_rounding_off_a_boundary_are_on_it() -> None:
             .otherwise(pl.col("time_ns"))
         )
         moved = replace(result, states=result.states.with_columns(late.alias("time_ns")))
-        case = build_case(next(written_plans(moved)), {}, StaticScene(), Config())
+        case = build_case(next(written_plans([moved])), {}, StaticScene(), Config())
         assert case is not None
         assert case.motion.present.all()
         assert (case.units >= 0).all()

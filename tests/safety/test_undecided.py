@@ -28,7 +28,7 @@ TOLERANCE = "[certificate]\ntolerance_m = 1e-6\n"
 
 def case_of(result: Result, config: str = TOLERANCE, error_m: float = ERROR_M) -> Case:
     """The case of a result whose motions are known to an error."""
-    case = build_case(next(written_plans(result)), {}, StaticScene(), parse_config(config))
+    case = build_case(next(written_plans([result])), {}, StaticScene(), parse_config(config))
     assert case is not None
     assert case.motion.judged.all()
     return replace(case, motion=replace(case.motion, error_m=np.full_like(case.motion.error_m, error_m)))
@@ -93,7 +93,7 @@ def test_knots_drift_by_less_than_is_allowed_less_the_error(spare_m: float, verd
 
 def test_the_error_is_above_that_of_a_fine_simulation_and_a_worse_one_is_not_judged() -> None:
     turning = Car("a", np.array([0.0, 0.0, 0.3, 0.1, 7.0, 0.0]), np.tile([[0.15, 0.5]], (15, 1)), 0.2)
-    plan = next(written_plans(Scene([turning]).result())).plans["a"]
+    plan = next(written_plans([Scene([turning]).result()])).plans["a"]
     found = {
         (step_s, tolerance_m): integrate([plan], plan.knots_ns, step_s, tolerance_m)
         for step_s, tolerance_m in ((0.01, 1e-6), (0.2, 1e-6), (0.2, 1e-15))
