@@ -53,78 +53,73 @@ class SeedPath:
         return self.step_m * (len(self.poses) - 1)
 
 
-def candidate_paths(
-    guide: Guidance,
-    car: Dimensions,
-    boxes_m: FloatArray,
-    bounds_m: tuple[float, float, float, float] | None,
-    gap_m: float,
-) -> list[SeedPath]:
+@dataclass(frozen=True, slots=True, eq=False)
+class Surroundings:
+    """A car, and what its paths keep clear of, corridor frame.
+
+    `boxes_m` (O, 4): x_min, x_max, y_min, y_max of what stands, kept clear of by `gap_m`; `bounds_m` is the
+    map, in the same order.
+    """
+
+    car: Dimensions
+    boxes_m: FloatArray
+    bounds_m: tuple[float, float, float, float] | None
+    gap_m: float
+
+    def clear(self, poses: FloatArray, room_m: float) -> FloatArray:
+        """A path (S, 3) of the rear axle, drawn clear with so much room beyond the gap."""
+        return drawn_clear(poses, self.car, self.boxes_m, self.bounds_m, self.gap_m + room_m)
+
+
+def candidate_paths(guide: Guidance, around: Surroundings) -> list[SeedPath]:
     """Paths from a guidance's start to its end, its own first.
 
     Parameters
     ----------
     guide : Guidance
         Its poses are the path.
-    car : Dimensions
-        The box that keeps clear.
-    boxes_m : (O, 4) array
-        x_min, x_max, y_min, y_max of what stands.
-    bounds_m : tuple, optional
-        The map.
-    gap_m : float
-        Gap to obstacles.
+    around : Surroundings
+        The car, and what it keeps clear of.
     """
-    own = _axle_path(guide, car)
-    found = [_seed_path(own, car, guide.speed_mps, sharp=True)]
-    if found[0] is not None and found[0].length_m < _STAYS_M:
-        return [found[0]]
+    own = _axle_path(guide, around.car)
+    straight = _seed_path(own, around.car, guide.speed_mps, sharp=True)
+    if straight is not None and straight.length_m < _STAYS_M:
+        return [straight]
+    drawn: list[FloatArray] = []
     bumped = _bumped(own)
-    for room in _ROOMS_M if len(boxes_m) else ():
-        clear = drawn_clear(own, car, boxes_m, bounds_m, gap_m + room)
-        found.append(_seed_path(clear, car, guide.speed_mps))
-        bumped += _bumped(clear) if room in _BUMPED_ROOMS_M else []
-    found += [_seed_path(poses, car, guide.speed_mps) for poses in bumped]
-    return [path for path in found if path is not None]
+    for room in _ROOMS_M if len(around.boxes_m) else ():
+        drawn.append(around.clear(own, room))
+        bumped += _bumped(drawn[-1]) if room in _BUMPED_ROOMS_M else []
+    others = _seed_paths(drawn + bumped, guide, around)
+    return others if straight is None else [straight, *others]
 
 
-def detours(
-    guide: Guidance,
-    car: Dimensions,
-    boxes_m: FloatArray,
-    bounds_m: tuple[float, float, float, float] | None,
-    gap_m: float,
-) -> list[SeedPath]:
+def detours(guide: Guidance, around: Surroundings) -> list[SeedPath]:
     """More paths of the same kind: bumps of the guidance's, drawn clear on the side where they are.
 
     They lead through other openings too. Parameters are those of `candidate_paths`.
     """
-    found = []
-    for poses in _bumped(_axle_path(guide, car), (*_BUMPS_M, *_DETOURS_M)):
-        for room in _DETOUR_ROOMS_M:
-            clear = drawn_clear(poses, car, boxes_m, bounds_m, gap_m + room)
-            found.append(_seed_path(clear, car, guide.speed_mps))
-    return [path for path in found if path is not None]
+    bumped = _bumped(_axle_path(guide, around.car), (*_BUMPS_M, *_DETOURS_M))
+    return _seed_paths(
+        [around.clear(poses, room) for poses in bumped for room in _DETOUR_ROOMS_M], guide, around
+    )
 
 
-def along_others(
-    guide: Guidance,
-    car: Dimensions,
-    boxes_m: FloatArray,
-    bounds_m: tuple[float, float, float, float] | None,
-    gap_m: float,
-) -> list[SeedPath]:
+def along_others(guide: Guidance, around: Surroundings) -> list[SeedPath]:
     """More paths of the same kind: along the other routes of a guidance, as they are and drawn clear.
 
     Parameters are those of `candidate_paths`.
     """
     found = []
     for route in guide.others:
-        found.append(_seed_path(route, car, guide.speed_mps))
-        for room in _DETOUR_ROOMS_M:
-            clear = drawn_clear(route, car, boxes_m, bounds_m, gap_m + room)
-            found.append(_seed_path(clear, car, guide.speed_mps))
-    return [path for path in found if path is not None]
+        found += [route, *(around.clear(route, room) for room in _DETOUR_ROOMS_M)]
+    return _seed_paths(found, guide, around)
+
+
+def _seed_paths(found: Sequence[FloatArray], guide: Guidance, around: Surroundings) -> list[SeedPath]:
+    """Those of the paths (S, 3) of the rear axle that bend no more than a car can."""
+    cut = [_seed_path(poses, around.car, guide.speed_mps) for poses in found]
+    return [path for path in cut if path is not None]
 
 
 def _axle_path(guide: Guidance, car: Dimensions) -> FloatArray:

@@ -10,7 +10,7 @@ import numpy as np
 
 from istc_replay.corridors.seed.lattice import CLEAR_M, DEEPEST_M, Lattice
 from istc_replay.corridors.seed.moves import Moves
-from istc_replay.corridors.seed.paths import SeedPath, along_others, candidate_paths, detours
+from istc_replay.corridors.seed.paths import SeedPath, Surroundings, along_others, candidate_paths, detours
 from istc_replay.corridors.seed.repair import Repair
 from istc_replay.datatypes import FloatArray, Guidance, read_only
 
@@ -32,8 +32,9 @@ def make_lattices(
     standing = np.array(boxes).reshape(-1, 4)
 
     def lattice(participant: Participant, guide: Guidance) -> Lattice:
-        car, gap = participant.dimensions, config.obstacle_gap_m
-        paths = candidate_paths(guide, car, standing, scenario.bounds_m, gap)
+        gap = config.obstacle_gap_m
+        around = Surroundings(participant.dimensions, standing, scenario.bounds_m, gap)
+        paths = candidate_paths(guide, around)
 
         def moves(some: Sequence[SeedPath]) -> Moves:
             unit_s = scenario.window.unit_s
@@ -45,9 +46,9 @@ def make_lattices(
 
         clear = reachable(paths)
         if len(standing) and len(clear) < _FEW_PATHS:
-            clear += reachable(detours(guide, car, standing, scenario.bounds_m, gap))
+            clear += reachable(detours(guide, around))
         if others:
-            clear += reachable(along_others(guide, car, standing, scenario.bounds_m, gap))
+            clear += reachable(along_others(guide, around))
         return Lattice(
             participant,
             guide,
