@@ -8,7 +8,6 @@ from typing import Any
 
 import polars as pl
 
-from istc_replay.datatypes import Result
 from istc_replay.export.colours import vehicle_colours
 from istc_replay.export.foxglove import MAP
 from istc_replay.export.foxglove_log import TOPIC as LOG_TOPIC
@@ -26,14 +25,20 @@ _INFORMATION = 2
 _PLAIN = re.compile("[A-Za-z0-9_/]+")
 
 
-def foxglove_layout(result: Result) -> dict[str, Any]:
+def foxglove_layout(states: Iterable[pl.DataFrame]) -> dict[str, Any]:
     """Lay out result.mcap for import in Foxglove or Lichtblick.
 
     The scene from above at an angle, with paths and transforms; below it the speed, acceleration and
     steering of the planned (solid) and of the recorded vehicles; beside it the log and the solves.
+
+    Parameters
+    ----------
+    states : iterable of DataFrame
+        The result's states, in one table or in several.
     """
+    extents = pl.concat([_extents(part) for part in states])
     planned, recorded = (
-        sorted(result.states.filter(pl.col("source") == source)["vehicle_id"].unique(), key=_natural)
+        sorted(extents.filter(pl.col("source") == source)["vehicle_id"].unique(), key=_natural)
         for source in ("planned", "recorded")
     )
     colours = {
@@ -45,7 +50,7 @@ def foxglove_layout(result: Result) -> dict[str, Any]:
     }
     return {
         "configById": {
-            "3D!scene": _scene(result, planned, colours),
+            "3D!scene": _scene(extents, planned, colours),
             **plots,
             "Tab!plots": {
                 "activeTabIdx": 0,
@@ -85,11 +90,18 @@ def _quoted(topic: str) -> str:
     return topic if _PLAIN.fullmatch(topic) else f'"{topic}"'
 
 
-def _scene(result: Result, planned: Iterable[str], colours: dict[str, str]) -> dict[str, Any]:
-    states = result.states.filter(
-        pl.col("source") != "guidance", pl.col("x_m").is_finite(), pl.col("y_m").is_finite()
+def _extents(states: pl.DataFrame) -> pl.DataFrame:
+    """The least and largest places of each vehicle of each source; null where there is none."""
+    placed = pl.when(pl.col("x_m").is_finite() & pl.col("y_m").is_finite()).then(pl.col("x_m", "y_m"))
+    return states.group_by("source", "vehicle_id").agg(
+        placed.min().name.suffix("_least"), placed.max().name.suffix("_most")
     )
-    low, high = (states.select(getattr(pl.col("x_m", "y_m"), end)()).row(0) for end in ("min", "max"))
+
+
+def _scene(extents: pl.DataFrame, planned: Iterable[str], colours: dict[str, str]) -> dict[str, Any]:
+    driven = extents.filter(pl.col("source") != "guidance")
+    low = driven.select(pl.col("x_m_least", "y_m_least").min()).row(0)
+    high = driven.select(pl.col("x_m_most", "y_m_most").max()).row(0)
     sides = [0.0 if a is None or b is None else b - a for a, b in zip(low, high, strict=True)]
     middle = [
         0.0 if a is None or b is None else round((a + b) / 2.0, 3) for a, b in zip(low, high, strict=True)

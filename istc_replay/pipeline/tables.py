@@ -49,9 +49,9 @@ def write_layout(source: Path, folder: Path) -> Path:
     """Write the layout in which Foxglove and Lichtblick show a result."""
     from istc_replay.export.atomic import atomic_file, prepare_folder
     from istc_replay.export.foxglove_layout import foxglove_layout
-    from istc_replay.ingest.result import load_result_folder
+    from istc_replay.pipeline.reading import read_in_parts
 
-    layout = foxglove_layout(load_result_folder(source, states=False))
+    layout = foxglove_layout(part.states for part in read_in_parts(source).each())
     path = prepare_folder(folder) / LAYOUT
     with atomic_file(path) as file:
         file.write_text(json.dumps(layout, indent=1) + "\n", encoding="utf-8")

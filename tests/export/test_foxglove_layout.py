@@ -89,7 +89,7 @@ def test_every_panel_is_placed_once(documented: dict[str, Any]) -> None:
 
 
 def test_the_layout_in_docs_is_what_the_command_writes(documented: dict[str, Any], replayed: Replay) -> None:
-    made = foxglove_layout(replayed.result)
+    made = foxglove_layout([replayed.result.states])
     for layout in (made, documented):  # the plan of the fast mode lies a little elsewhere
         del layout["configById"]["3D!scene"]["cameraState"]["distance"]
         for part in (
@@ -104,7 +104,7 @@ def test_the_layout_in_docs_is_what_the_command_writes(documented: dict[str, Any
 
 
 def test_hostile_names_are_quoted_topics(hostile_result: Result) -> None:
-    layout = json.loads(json.dumps(foxglove_layout(hostile_result)))
+    layout = json.loads(json.dumps(foxglove_layout([hostile_result.states])))
     for path in layout["configById"]["Plot!speed"]["paths"]:
         match = PATH.fullmatch(path["value"])
         assert match

@@ -30,7 +30,7 @@ def test_a_layout_alone_is_what_foxglove_gets_of_the_result(result: Path, tmp_pa
     assert whole
     assert files == [tmp_path / "out" / LAYOUT]
     assert list((tmp_path / "out").iterdir()) == files
-    expected = foxglove_layout(load_result_folder(result))
+    expected = foxglove_layout([load_result_folder(result).states])
     assert json.loads(files[0].read_text(encoding="utf-8")) == json.loads(json.dumps(expected))
 
 
