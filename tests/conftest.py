@@ -22,13 +22,11 @@ from .support.summary import summary_of
 _DEAR = ("replayed", "done", "table_iii")
 
 
-@pytest.hookimpl(tryfirst=True)
-def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+def pytest_itemcollected(item: pytest.Item) -> None:
     """Give the tests of a dear fixture to one worker (`pytest -n 2 --dist loadgroup`)."""
-    for item in items:
-        for name in _DEAR:
-            if name in getattr(item, "fixturenames", ()):
-                item.add_marker(pytest.mark.xdist_group(name))
+    for name in _DEAR:
+        if name in getattr(item, "fixturenames", ()):
+            item.add_marker(pytest.mark.xdist_group(name))
 
 
 def _beside(folder: str) -> Path:
