@@ -6,9 +6,7 @@ import dataclasses
 import io
 import math
 from collections import defaultdict
-from collections.abc import Iterable
 from itertools import pairwise
-from typing import Any
 
 import numpy as np
 import polars as pl
@@ -16,32 +14,16 @@ import pytest
 from mcap.reader import make_reader
 from mcap_protobuf.decoder import DecoderFactory
 
-from istc_replay.config import VehiclesConfig
 from istc_replay.datatypes import (
     LaneLine,
-    Log,
     MapBounds,
     Result,
     RoadEdge,
-    StaticScene,
     WindowPlan,
     read_only,
 )
-from istc_replay.export import film, foxglove
-from istc_replay.export.foxglove import foxglove_messages
-from istc_replay.export.result_mcap import result_bytes
-from istc_replay.states import STATES_SCHEMA
 
-Plan = tuple[Log, list[WindowPlan]]
-Messages = dict[str, list[tuple[int, Any]]]
-S = 1_000_000_000
-
-
-def by_topic(stamped: Iterable[tuple[int, str, Any]]) -> Messages:
-    found: Messages = defaultdict(list)
-    for time_ns, topic, message in stamped:
-        found[topic].append((time_ns, message))
-    return found
+from ..support.foxglove import Messages, Plan, S, by_topic, corners, made, ns, visible, yaw
 
 
 @pytest.fixture(scope="module")
@@ -51,43 +33,6 @@ def shown(synthetic_bytes: bytes) -> Messages:
     return by_topic(
         (m.log_time, channel.topic, decoded) for _, channel, m, decoded in reader.iter_decoded_messages()
     )
-
-
-def made(log: Log, plans: list[WindowPlan]) -> Messages:
-    return by_topic(foxglove_messages(log, plans, [plan.scenario.window for plan in plans], VehiclesConfig()))
-
-
-def ns(stamp: Any) -> int:
-    return int(stamp.seconds * S + stamp.nanos)
-
-
-def yaw(rotation: Any) -> float:
-    assert (rotation.x, rotation.y) == (0.0, 0.0)
-    assert math.hypot(rotation.z, rotation.w) == pytest.approx(1.0, abs=1e-12)
-    return 2.0 * math.atan2(rotation.z, rotation.w)
-
-
-def corners(cube: Any) -> np.ndarray:
-    """Corners of a cube of the scene, by its own pose and size, sorted."""
-    turn = yaw(cube.pose.orientation)
-    forward = np.array([math.cos(turn), math.sin(turn)]) * cube.size.x / 2.0
-    left = np.array([-math.sin(turn), math.cos(turn)]) * cube.size.y / 2.0
-    centre = np.array([cube.pose.position.x, cube.pose.position.y])
-    points = [centre + a * forward + b * left for a in (1, -1) for b in (1, -1)]
-    return np.array(sorted(tuple(np.round(point, 9)) for point in points))
-
-
-def visible(messages: list[tuple[int, Any]], time_ns: int, after_seek: bool = False) -> dict[str, Any]:
-    """The entities that a player shows at an instant, having played from the start or jumped there."""
-    entities: dict[str, Any] = {}
-    past = [message for at_ns, message in messages if at_ns <= time_ns]
-    for message in past[-1:] if after_seek else past:
-        entities.update({entity.id: entity for entity in message.entities})
-    return {
-        name: entity
-        for name, entity in entities.items()
-        if not ns(entity.lifetime) or time_ns < ns(entity.timestamp) + ns(entity.lifetime)
-    }
 
 
 # --- places ----------------------------------------------------------------------------------
@@ -252,83 +197,6 @@ def test_nothing_that_moved_lingers_after_the_end(shown: Messages) -> None:
     assert set(visible(shown["/istc/scene"], end_ns)) == {"lane/0", "lane/1", "standing/block"}
 
 
-def recorded(times_s: list[float], vehicle: str = "a", **columns: Any) -> pl.DataFrame:
-    times = [round(t * S) for t in times_s]
-    values = {
-        "vehicle_id": vehicle,
-        "time_ns": times,
-        "x_m": [10.0 * t for t in times_s],
-        "y_m": 0.0,
-        **columns,
-    }
-    table = pl.DataFrame({"time_ns": times}).with_columns(
-        pl.lit(value).alias(name) if not isinstance(value, list) else pl.Series(name, value)
-        for name, value in values.items()
-    )
-    return table.with_columns(
-        pl.lit(None).cast(dtype).alias(name)
-        for name, dtype in STATES_SCHEMA.items()
-        if name not in table.columns
-    ).select(pl.col(name).cast(dtype) for name, dtype in STATES_SCHEMA.items())
-
-
-def log_of(log: Log, *tables: pl.DataFrame) -> Log:
-    return dataclasses.replace(log, states=pl.concat(tables), scene=StaticScene())
-
-
-def test_a_vehicle_is_not_shown_in_a_gap_of_its_recording(synthetic_plan: Plan) -> None:
-    steps = [i / 10 for i in range(11)]
-    log = log_of(synthetic_plan[0], recorded(steps + [5.0 + t for t in steps], heading_rad=0.0))
-    scenes = made(log, [])["/istc/scene"]
-    assert set(visible(scenes, S)) == set(visible(scenes, 5 * S)) == {"recorded/a"}
-    assert visible(scenes, 2 * S) == visible(scenes, 7 * S) == {}
-
-
-def test_between_its_states_a_vehicle_stands_on_the_line_between_them(synthetic_plan: Plan) -> None:
-    turning = recorded([0.0, 0.2, 0.4], "a", heading_rad=[3.0, -3.0, -2.8])
-    other = recorded([0.1, 0.3], "b", heading_rad=0.0)
-    scenes = made(log_of(synthetic_plan[0], turning, other), [])["/istc/scene"]
-    pose = visible(scenes, S // 10)["recorded/a"].cubes[0].pose
-    assert pose.position.x == pytest.approx(1.0)
-    # The short way over the cut at pi.
-    assert abs(yaw(pose.orientation)) == pytest.approx(math.pi)
-
-
-def test_a_vehicle_of_unknown_size_or_heading_is_drawn_all_the_same(synthetic_plan: Plan) -> None:
-    scenes = made(log_of(synthetic_plan[0], recorded([0.0])), [])["/istc/scene"]
-    entity = visible(scenes, 0)["recorded/a"]
-    assert (entity.cubes[0].size.x, entity.cubes[0].size.y) == (4.0, 2.0)
-    assert entity.texts[0].text == "a"
-    assert visible(scenes, S) == {}
-
-
-def test_vehicles_at_instants_of_their_own_do_not_swell_the_scene(
-    synthetic_plan: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(film, "_CARS_FLOOR", 0)
-    tables = [recorded([i + v / 100 for i in range(10)], f"v{v:02}", heading_rad=0.0) for v in range(60)]
-    scenes = made(log_of(synthetic_plan[0], *tables), [])["/istc/scene"]
-    assert sum(len(message.entities) for _, message in scenes) <= 4 * 600
-    assert len(visible(scenes, 5 * S)) == 60
-
-
-def test_long_lane_lines_stand_in_the_first_scene_alone(
-    synthetic_plan: Plan, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(foxglove, "_LINE_POINTS_LIMIT", 10)
-    log, plans = synthetic_plan
-    lane = LaneLine("long", read_only(np.zeros((11, 2)), 2))
-    scenes = made(dataclasses.replace(log, scene=StaticScene((lane,))), plans)["/istc/scene"]
-    drawn = [any(entity.id == "lane/0" for entity in message.entities) for _, message in scenes]
-    assert drawn == [True] + [False] * (len(scenes) - 1)
-
-
-def test_a_log_of_standing_things_alone_is_shown(synthetic_plan: Plan) -> None:
-    log = dataclasses.replace(synthetic_plan[0], states=pl.DataFrame(schema=STATES_SCHEMA))
-    ((_, scene),) = made(log, [])["/istc/scene"]
-    assert {entity.id for entity in scene.entities} == {"lane/0", "lane/1", "standing/block"}
-
-
 # --- windows ---------------------------------------------------------------------------------
 
 
@@ -368,13 +236,3 @@ def test_a_path_goes_when_its_plan_ends_and_another_vehicles_goes_on(synthetic_p
     messages = made(log, [plan, second])
     lengths = {car: [len(p.poses) for _, p in messages[f"/istc/path/car%20{car}"]] for car in (1, 2, 3)}
     assert lengths == {1: [31, 31], 2: [31, 0], 3: [26, 0]}
-
-
-def test_utm_coordinates_keep_their_millimetres(synthetic_plan: Plan) -> None:
-    log = log_of(
-        synthetic_plan[0], recorded([0.0], x_m=[691_234.1234], y_m=[5_334_567.8901], heading_rad=[0.1])
-    )
-    data = result_bytes(log, [], [], {}, "", {})
-    reader = make_reader(io.BytesIO(data), decoder_factories=[DecoderFactory()])
-    ((_, _, _, tf),) = reader.iter_decoded_messages(topics=["/tf"])
-    assert (tf.transforms[0].translation.x, tf.transforms[0].translation.y) == (691_234.1234, 5_334_567.8901)
