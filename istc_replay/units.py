@@ -13,11 +13,6 @@ def seconds_to_ns(seconds: float) -> int:
     return round(seconds * NS_PER_S)
 
 
-def ns_to_seconds(nanoseconds: int) -> float:
-    """Turn integer nanoseconds into float seconds (exact below 2**53 ns)."""
-    return nanoseconds / NS_PER_S
-
-
 def median_step(times: ArrayLike) -> float:
     """Median step of increasing times (S,), in their unit; 0 where there are less than two."""
     steps = np.diff(np.asarray(times))

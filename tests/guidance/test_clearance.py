@@ -75,3 +75,24 @@ def test_slopes_are_those_of_the_gaps(poses: np.ndarray) -> None:
         # Where two axes or two turns change places the slope jumps.
         assert (np.abs(measured - slopes[:, axis]) < 1e-4).mean() > 0.999
     assert len(who) == 6 * len(poses)
+
+
+@pytest.mark.parametrize("count", [2, 80])
+@pytest.mark.parametrize("shift_m", [0.0, -1000.0])
+def test_a_car_may_be_just_where_nothing_is_lacking(poses: np.ndarray, count: int, shift_m: float) -> None:
+    # Of many obstacles those near a car are looked up in a raster.
+    random = np.random.default_rng(count)
+    centres = random.uniform(0.0, 1.0, (count, 2)) * (60.0, 40.0)
+    obstacles = [
+        SceneObstacle(str(k), x + shift_m, y + shift_m, angle, length, 1.0)
+        for k, ((x, y), angle, length) in enumerate(
+            zip(centres, random.uniform(-4.0, 4.0, count), random.uniform(0.5, 3.0, count), strict=True)
+        )
+    ]
+    field = MapBounds(shift_m, 60.0 + shift_m, shift_m, 40.0 + shift_m)
+    clearance = Clearance.of(CAR, field, obstacles, 0.3, 0.14)
+    there = poses * (3.0, 40.0 / 15.0, 1.0) + (shift_m, shift_m, 0.0)
+    expected = clearance.lacks(there) <= 1e-9
+    assert 0.02 < expected.mean() < 0.9
+    np.testing.assert_array_equal(clearance.free(there), expected)
+    np.testing.assert_array_equal(clearance.free(there.reshape(10, 100, 3)), expected.reshape(10, 100))
