@@ -5,7 +5,6 @@ from __future__ import annotations
 import itertools
 import xml.etree.ElementTree as ET
 from dataclasses import replace
-from typing import Any
 
 import matplotlib as mpl
 import numpy as np
@@ -24,16 +23,10 @@ from istc_replay.export.figures.space_time import clip_segments
 from istc_replay.export.figures.style import drawable
 from istc_replay.export.figures.tracks import Track
 
-from ..support.results import renamed
+from ..support.results import renamed, with_window
 
 ALL = {"corridors", "own_corridors", "top_down", "filmstrip", "speed_acceleration", "separation"}
 RECORDED = {"top_down", "filmstrip", "speed_acceleration", "separation"}
-
-
-def with_window(result: Result, **changes: Any) -> Result:
-    """The same result with another first window in its summary."""
-    first, *others = result.summary["windows"]
-    return replace(result, summary=result.summary | {"windows": [first | changes, *others]})
 
 
 def without_plan(result: Result) -> Result:

@@ -181,16 +181,6 @@ def test_the_report_tells_vehicles_certificate_and_origin(entities: dict[str, Ro
         assert word in text
 
 
-def test_events_tell_the_window_and_the_failed_check(entities: dict[str, Rows]) -> None:
-    (window,) = entities["/events/windows"]
-    assert window["TextLog:level"] == ["INFO"]
-    assert "3 of 3 plannable vehicles certified" in window["TextLog:text"][0]
-    (failed,) = entities["/events/certificates"]
-    assert failed["TextLog:level"] == ["ERROR"]
-    assert failed["scenario_time"] == 5_400_000_000
-    assert "dynamics fail" in failed["TextLog:text"][0]
-
-
 # --- time ------------------------------------------------------------------------------------
 
 
@@ -296,20 +286,6 @@ def test_who_is_on_common_ground_earlier_goes_first() -> None:
     table = conform(pl.DataFrame(rows), CORRIDORS_SCHEMA)
     assert precedences(table) == [("b", "a")]
     assert precedences(table.with_columns(pl.col("vehicle_id").replace({"a": "b", "b": "a"}))) == [("a", "b")]
-
-
-def test_recorded_overlaps_are_events(synthetic_result: Result, view_of: View) -> None:
-    closer = pl.when((pl.col("vehicle_id") == "car 2") & (pl.col("source") == "recorded"))
-    others = states_of(synthetic_result, "recorded", "car 1")
-    place = others.row(30, named=True)
-    states = synthetic_result.states.with_columns(
-        closer.then(place["x_m"]).otherwise(pl.col("x_m")).alias("x_m"),
-        closer.then(place["y_m"]).otherwise(pl.col("y_m")).alias("y_m"),
-    )
-    rows = view_of(replace(synthetic_result, states=states))["/events/overlaps"]
-    (row,) = (row for row in rows if "recorded: vehicles car 1 and car 2 overlap" in row["TextLog:text"][0])
-    assert row["TextLog:level"] == ["ERROR"]
-    assert 0 < row["scenario_time"] < 3 * S
 
 
 # --- places ----------------------------------------------------------------------------------

@@ -18,7 +18,7 @@ from istc_replay.datatypes import (
     read_only,
 )
 from istc_replay.guidance.build import build_guidance, recorded_speed_mps
-from istc_replay.guidance.path import Path, constant_speed_then_stop
+from istc_replay.guidance.path import Path, constant_speed_then_stop, eased
 
 from ..support.participants import CAR
 
@@ -132,3 +132,32 @@ def test_guidance_of_a_vehicle_that_enters_later_has_its_own_times() -> None:
     late = replace(scenario.participants[0], first_unit=4)
     guide = build_guidance(replace(scenario, participants=(late,)), GuidanceConfig())[0]
     assert (guide.times_s[0], guide.times_s[-1]) == (4.0, 7.0)
+
+
+@pytest.mark.parametrize("length_m", [0.5, 4.0, 40.0])
+def test_a_car_stands_at_the_end_however_short_the_path(length_m: float) -> None:
+    times = np.arange(0.0, 40.0, 0.01)
+    arc = constant_speed_then_stop(times, 5.0, length_m, 2.0)
+    speed, most = np.diff(arc) / 0.01, min(5.0, np.sqrt(2.0 * 2.0 * length_m))
+    assert arc[-1] == pytest.approx(length_m)
+    assert speed[0] == pytest.approx(most, rel=0.01)
+    assert (speed >= -1e-9).all()
+    assert np.diff(speed).min() / 0.01 >= -2.0 - 1e-6
+
+
+@pytest.mark.parametrize("start_mps", [0.0, 3.0, 8.0])
+@pytest.mark.parametrize("length_m", [9.0, 60.0])
+def test_a_car_that_is_handed_over_comes_to_its_speed_and_brakes_to_stand_at_the_end(
+    start_mps: float, length_m: float
+) -> None:
+    times = np.arange(0.0, 60.0, 0.05)
+    arc = eased(times, start_mps, 5.0, length_m, 2.0)
+    speed = np.diff(arc) / 0.05
+    # It never drives faster than it could brake from by the path's end.
+    left = length_m - arc[:-1]
+    assert (speed <= np.sqrt(2.0 * 2.0 * np.maximum(left, 0.0)) + 0.05).all()
+    assert speed.max() <= max(start_mps, 5.0) + 1e-9
+    assert arc[-1] == pytest.approx(length_m, abs=0.05)
+    assert (np.diff(speed) / 0.05 <= 1.0 + 0.05).all()
+    if length_m > 50.0:
+        assert np.interp(30.0, arc[:-1], speed) == pytest.approx(5.0, abs=0.05)
