@@ -46,6 +46,11 @@ def test_one_sample_is_no_event_and_one_severe_sample_no_severe_one() -> None:
     assert events([1.4, 0.5, 0.9, 1.4]) == [Event(0, 1, 3, 1)]
 
 
+def test_samples_that_do_not_follow_each_other_do_not_count_together() -> None:
+    assert events([1.4, 1.9, 1.4, 1.9, 1.4]) == []
+    assert events([1.4, 0.9, 1.2, 0.9, 1.4]) == [Event(0, 1, 4, 0)]
+
+
 def test_what_is_not_judged_is_in_no_event_and_keys_do_not_mix() -> None:
     assert events([np.nan] * 5) == []
     assert events([1.4, 1.4, np.nan, 1.4, 1.4]) == [Event(0, 0, 4, 0)]

@@ -64,6 +64,22 @@ def test_contacts_are_those_of_small_steps() -> None:
     assert np.abs(found[both] - expected[both]).max() < 0.01
 
 
+@pytest.mark.parametrize("ahead_m", [-3.0, 0.0, 3.0, 6.0])
+def test_a_box_that_swings_about_its_rear_axle_is_there_no_later_than_its_far_corner(ahead_m: float) -> None:
+    # It hardly moves but for the swing: the far corner is fastest, and comes straight at the other box.
+    far = abs(ahead_m) + 2.25
+    way = np.sign(ahead_m) or 1.0
+    boxes = np.zeros((2, 1, 5))
+    boxes[0, 0] = [ahead_m, 0.0, 0.0, 4.5, 1.9]
+    boxes[1, 0] = [way * far * 0.8, way * (1.0 + far * 0.5), 0.0, 0.5, 0.5]
+    speeds, rates = np.array([[0.05], [0.0]]), np.array([[1.0], [0.0]])
+    ahead = np.array([[ahead_m], [0.0]])
+    found = turning_contact(boxes, speeds, rates, ahead, 3.0)
+    expected = stepped(boxes, speeds, rates, ahead, 3.0)
+    assert np.isfinite(expected).all()
+    np.testing.assert_allclose(found, expected, atol=2e-3)
+
+
 def bend(name: str, **changes: Any) -> pl.DataFrame:
     """North at 6 m/s, then a right turn of 8 m, and on to the east."""
     radius, speed = 8.0, 6.0
