@@ -229,3 +229,17 @@ def test_a_handed_over_plan_is_measured_from_the_recorded_path() -> None:
     start = float(planned.filter(pl.col("window") == 1).sort("time_ns")["y_m"][0])
     assert start > 0.2
     assert told(second)["1"]["excursion_m"] >= start - 0.03
+
+
+def test_the_path_bounds_all_along_a_box_that_was_recorded_at_the_edge_and_no_farther() -> None:
+    # A kerb that comes near at x = 20 m alone: a box 4.5 m long is beside it from 17.75 to 22.25 m.
+    kerb = RoadEdge("kerb", read_only([[-90.0, 3.0], [19.0, 3.0], [20.0, 0.95], [21.0, 3.0], [190.0, 3.0]]))
+    poses = np.column_stack([np.arange(41.0), np.zeros((41, 2))])
+    bound = lateral_bound(poses, BOX, Road.of(StaticScene(road_edges=(kerb,))), 1.5)
+    by_path = np.flatnonzero(np.isnan(bound.edge_m[:, 0]))
+    assert by_path.tolist() == list(range(17, 24))
+    assert bound.offset_m[by_path, 0].tolist() == [0.5] * 7
+    assert np.isnan(np.delete(bound.offset_m[:, 0], by_path)).all()
+    assert bound.edge_m[25:30, 0].tolist() == [3.0] * 5
+    assert np.isnan(bound.edge_m[:, 1]).all()  # nothing is told of the other side
+    assert bound.off_road_m == 0.0

@@ -43,6 +43,11 @@ def test_conflict_types_are_those_of_ssam(degrees: float, expected: str) -> None
     assert conflict_type(one(np.nan), LIMITS)[0] == -1
 
 
+@pytest.mark.parametrize(("limit", "expected"), [(0, "lane_change"), (1, "lane_change"), (2, "crossing")])
+def test_at_a_limit_itself_the_type_is_that_of_ssam(limit: int, expected: str) -> None:
+    assert CONFLICT_TYPES[int(conflict_type(one(LIMITS[limit]), LIMITS)[0])] == expected
+
+
 def test_headway_on_a_straight_is_gap_over_speed() -> None:
     gap, seconds = headway(box(0, 0), box(24, 0.5), one(10.0), moving_mps=0.5, same_path_rad=0.5)
     assert gap[0] == pytest.approx(20.0, abs=0.01)
