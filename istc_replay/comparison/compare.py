@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 import tomllib
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Set as AbstractSet
 from typing import Any
 
 import numpy as np
@@ -30,27 +32,34 @@ _WINDOW_FIGURES = (
 _WALLS = ("x_min_m", "x_max_m", "y_min_m", "y_max_m")
 
 
-def compare_results(a: Result, b: Result) -> Comparison:
+def compare_results(
+    a: Result, b: Result, parts_a: Iterable[Result] | None = None, parts_b: Iterable[Result] | None = None
+) -> Comparison:
     """Compare two results.
 
     Parameters
     ----------
     a, b : Result
         As read back. Their logs, vehicles, windows and settings may differ.
+    parts_a, parts_b : iterable of Result, optional
+        Their parts in order of time, of those that are without their states.
 
     Returns
     -------
     Comparison
         Only what differs: of a result and itself, nothing.
     """
-    ids_a, ids_b = (set(result.states["vehicle_id"].unique()) for result in (a, b))
-    windows_a, windows_b = (
-        {int(entry["index"]): entry for entry in result.summary.get("windows") or []} for result in (a, b)
-    )
+    windows_a, windows_b = (_entries(result) for result in (a, b))
+    ids_a, ids_b = set[str](), set[str]()
     windows = [
-        _window(a, b, windows_a[index], windows_b[index])
-        for index in sorted(windows_a.keys() & windows_b.keys())
+        _window(one, two, windows_a[index], windows_b[index])
+        for index, one, two in _shared_windows(
+            _noting([a] if parts_a is None else parts_a, ids_a),
+            _noting([b] if parts_b is None else parts_b, ids_b),
+            windows_a.keys() & windows_b.keys(),
+        )
     ]
+    windows.sort(key=lambda window: window.index)
     settings_a, settings_b = (dict(_flat(_toml(result.config_toml))) for result in (a, b))
     return Comparison(
         inputs=_changes(_input(a), _input(b)),
@@ -63,6 +72,30 @@ def compare_results(a: Result, b: Result) -> Comparison:
         windows=tuple(window for window in windows if window.differs),
         findings=_changes(_findings(a), _findings(b)),
     )
+
+
+def _entries(result: Result) -> dict[int, dict[str, Any]]:
+    return {int(entry["index"]): entry for entry in result.summary.get("windows") or []}
+
+
+def _noting(parts: Iterable[Result], ids: set[str]) -> Iterator[Result]:
+    """The parts; who is in their states is added to the ids."""
+    for part in parts:
+        ids.update(part.states["vehicle_id"].unique())
+        yield part
+
+
+def _shared_windows(
+    parts_a: Iterable[Result], parts_b: Iterable[Result], shared: AbstractSet[int]
+) -> Iterator[tuple[int, Result, Result]]:
+    """The windows that both have, with the parts that hold them; a part is let go when it is done with."""
+    waiting: tuple[dict[int, Result], dict[int, Result]] = ({}, {})
+    for parts in itertools.zip_longest(parts_a, parts_b):
+        for own, part in zip(waiting, parts, strict=True):
+            if part is not None:
+                own.update((index, part) for index in _entries(part) if index in shared)
+        for index in sorted(waiting[0].keys() & waiting[1].keys()):
+            yield index, waiting[0].pop(index), waiting[1].pop(index)
 
 
 def _changes(a: Mapping[str, Any], b: Mapping[str, Any]) -> tuple[Change, ...]:

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import hashlib
+from collections.abc import Iterator
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import rerun as rr
@@ -15,9 +17,16 @@ from istc_replay.comparison.words import sentences
 from istc_replay.config import parse_config
 from istc_replay.datatypes import Result
 from istc_replay.errors import ConfigError
-from istc_replay.export.atomic import atomic_file
 from istc_replay.export.rerun_markdown import escaped
-from istc_replay.export.rerun_view import recording_id, view_chunks
+from istc_replay.export.rerun_view import (
+    Parts,
+    laid_out,
+    recorded_file,
+    recording_id,
+    send,
+    stage_chunks,
+    unsent,
+)
 
 APPLICATION_ID = "istc-replay-compare"
 #: Lines of the text beside the views.
@@ -25,21 +34,34 @@ _LINES = 400
 _SIDES = ("a", "b")
 
 
-def beside_chunks(comparison: Comparison, a: Result, b: Result) -> list[Chunk]:
+def beside_chunks(
+    comparison: Comparison, a: Result, b: Result, parts: tuple[Parts | None, Parts | None] = (None, None)
+) -> Iterator[list[Chunk]]:
     """Lay two results out: `/a` and `/b` hold what a view of each holds, `/difference` says it in words.
 
     Both count `scenario_time` from their own first windows.
+
+    Yields
+    ------
+    list of Chunk
+        The words; then each part of either.
     """
-    chunks = [
-        chunk.with_entity_path(f"/{side}{chunk.entity_path}")
-        for side, result in zip(_SIDES, map(_readable, (a, b)), strict=True)
-        for chunk in view_chunks(result, parse_config(result.config_toml).view)
-    ]
     lines = [escaped(text) for text in sentences(comparison)]
     more = [f"and {len(lines) - _LINES} more lines"] if len(lines) > _LINES else []
     text = "\n".join(f"- {line}" for line in lines[:_LINES] + more)
     document = rr.TextDocument.columns(text=[text], media_type=["text/markdown"])
-    return [*chunks, Chunk.from_columns("/difference", [], document)]
+    yield [Chunk.from_columns("/difference", [], document)]
+    for side, result, own in zip(_SIDES, map(_readable, (a, b)), parts, strict=True):
+        config = parse_config(result.config_toml).view
+        sent: set[bytes] = set()
+        for stage, found in laid_out(result, config, (), own and partial(_with, result, own)):
+            chunks = unsent(stage_chunks(stage, found), sent)
+            yield [chunk.with_entity_path(f"/{side}{chunk.entity_path}") for chunk in chunks]
+
+
+def _with(result: Result, parts: Parts) -> Iterator[Result]:
+    """Parts with the settings of the result."""
+    return (replace(part, config_toml=result.config_toml) for part in parts())
 
 
 def _readable(result: Result) -> Result:
@@ -110,8 +132,19 @@ def _plot(root: str, name: str, signal: str, unit: str) -> rrb.TimeSeriesView:
     )
 
 
-def write_beside(comparison: Comparison, a: Result, b: Result, path: Path) -> None:
+def write_beside(
+    comparison: Comparison,
+    a: Result,
+    b: Result,
+    path: Path,
+    parts: tuple[Parts | None, Parts | None] = (None, None),
+) -> None:
     """Write both results and their layout as one .rrd file, whole or not at all.
+
+    Parameters
+    ----------
+    parts : tuple of callable, optional
+        Of either as of `write_view`.
 
     Raises
     ------
@@ -122,9 +155,9 @@ def write_beside(comparison: Comparison, a: Result, b: Result, path: Path) -> No
     recording = rr.RecordingStream(
         APPLICATION_ID, recording_id=identity, make_default=False, send_properties=False
     )
-    memory = recording.memory_recording()
-    rr.send_blueprint(beside_blueprint(), make_active=True, make_default=True, recording=recording)
-    rr.send_recording_name("A beside B", recording=recording)
-    rr.send_chunks(beside_chunks(comparison, a, b), recording=recording)
-    with atomic_file(path) as temporary:
-        temporary.write_bytes(bytes(memory.drain_as_bytes()))
+    windows = sum(len(result.summary["windows"]) for result in (a, b))
+    with recorded_file(recording, path, windows):
+        rr.send_blueprint(beside_blueprint(), make_active=True, make_default=True, recording=recording)
+        rr.send_recording_name("A beside B", recording=recording)
+        for chunks in beside_chunks(comparison, a, b, parts):
+            send(chunks, recording)

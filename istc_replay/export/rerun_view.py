@@ -193,11 +193,11 @@ def send_result(
     rr.send_recording_name(label(PurePath(result.summary["input"]["path"]).name), recording=recording)
     sent: set[bytes] = set()
     for stage, found in laid_out(result, config, focus, parts):
-        rr.send_chunks(_unsent(stage_chunks(stage, found), sent), recording=recording)
+        rr.send_chunks(unsent(stage_chunks(stage, found), sent), recording=recording)
         yield
 
 
-def _unsent(chunks: list[Chunk], sent: set[bytes]) -> list[Chunk]:
+def unsent(chunks: list[Chunk], sent: set[bytes]) -> list[Chunk]:
     """The chunks without those that hold at all times and were sent with an earlier part."""
     kept = []
     for chunk in chunks:
@@ -242,14 +242,27 @@ def write_view(
         If the file cannot be written.
     """
     recording = new_recording(result)
-    with (
-        atomic_file(path) as temporary,
-        temporary.open("wb") as file,
-        _piped(recording, file, footer=len(result.summary["windows"]) <= _FOOTER_WINDOWS),
-    ):
+    with recorded_file(recording, path, len(result.summary["windows"])):
         rr.send_blueprint(opening.blueprint, make_active=True, make_default=True, recording=recording)
         for _ in send_result(result, config, opening.focus, recording, parts):
             recording.flush(timeout_sec=_FLUSH_S)
+
+
+def send(chunks: list[Chunk], recording: rr.RecordingStream) -> None:
+    """Send chunks to a recording, and wait until they are written."""
+    rr.send_chunks(chunks, recording=recording)
+    recording.flush(timeout_sec=_FLUSH_S)
+
+
+@contextmanager
+def recorded_file(recording: rr.RecordingStream, path: Path, windows: int) -> Iterator[None]:
+    """Let a recording of so many windows go to a file, that is there whole after the block or not at all."""
+    with (
+        atomic_file(path) as temporary,
+        temporary.open("wb") as file,
+        _piped(recording, file, footer=windows <= _FOOTER_WINDOWS),
+    ):
+        yield
 
 
 @contextmanager

@@ -25,23 +25,24 @@ def compare_read(one: Path, two: Path, folder: Path | None) -> tuple[Comparison,
         If a file cannot be written whole.
     """
     from istc_replay.comparison.compare import compare_results
-    from istc_replay.ingest.result import load_result_folder
+    from istc_replay.pipeline.reading import read_in_parts
 
-    a, b = load_result_folder(one), load_result_folder(two)
-    comparison = compare_results(a, b)
+    a, b = read_in_parts(one), read_in_parts(two)
+    comparison = compare_results(a.result, b.result, a.each(), b.each())
     if folder is None:
         return comparison, []
     from istc_replay.export.atomic import atomic_file, prepare_folder
-    from istc_replay.export.report.beside import comparison_html
+    from istc_replay.export.report.beside import comparison_html, pictured
     from istc_replay.export.rerun_beside import write_beside
 
     prepare_folder(folder)
     files = [folder / name for name in ("compare.html", "compare.json", "compare.rrd")]
     with atomic_file(files[0]) as file:
-        file.write_text(comparison_html(comparison, a, b, (str(one), str(two))), encoding="utf-8")
+        some, others = (side.of(pictured(comparison)) for side in (a, b))
+        file.write_text(comparison_html(comparison, some, others, (str(one), str(two))), encoding="utf-8")
     with atomic_file(files[1]) as file:
         file.write_text(json.dumps(comparison_facts(comparison, one, two), indent=1, allow_nan=False) + "\n")
-    write_beside(comparison, a, b, files[2])
+    write_beside(comparison, a.result, b.result, files[2], (a.parts, b.parts))
     return comparison, files
 
 

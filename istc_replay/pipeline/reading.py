@@ -38,6 +38,10 @@ class Reading:
         """The parts of the result, each with some of its windows."""
         return iter([self.result]) if self.parts is None else self.parts()
 
+    def of(self, windows: Sequence[int]) -> Result:
+        """The result with the states of some windows at least."""
+        return self.result if self.parts is None else replace(self.result, states=self._states(windows))
+
     def recorded(self) -> pl.DataFrame:
         """All recorded states."""
         if self.parts is None:

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import itertools
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
+
+from rerun.chunk import Chunk
 
 from istc_replay.comparison.compare import compare_results
 from istc_replay.config import ViewConfig
@@ -14,11 +17,15 @@ from istc_replay.export.rerun_beside import beside_blueprint, beside_chunks, wri
 from istc_replay.export.rerun_view import view_chunks
 
 
+def flat(parts: Iterable[list[Chunk]]) -> list[Chunk]:
+    return list(itertools.chain.from_iterable(parts))
+
+
 def test_each_side_holds_what_its_view_holds(
     synthetic_result: Result, moved_result: Callable[[Result], Result], strict_rerun: None
 ) -> None:
     other = moved_result(synthetic_result)
-    chunks = beside_chunks(compare_results(synthetic_result, other), synthetic_result, other)
+    chunks = flat(beside_chunks(compare_results(synthetic_result, other), synthetic_result, other))
     own = sorted((chunk.entity_path, chunk.num_rows) for chunk in view_chunks(synthetic_result, ViewConfig()))
     for side in ("/a", "/b"):
         held = [(c.entity_path, c.num_rows) for c in chunks if c.entity_path.startswith(f"{side}/")]
@@ -28,7 +35,9 @@ def test_each_side_holds_what_its_view_holds(
 
 def test_every_view_of_the_layout_has_content(synthetic_result: Result, strict_rerun: None) -> None:
     comparison = compare_results(synthetic_result, synthetic_result)
-    paths = {chunk.entity_path for chunk in beside_chunks(comparison, synthetic_result, synthetic_result)}
+    paths = {
+        chunk.entity_path for chunk in flat(beside_chunks(comparison, synthetic_result, synthetic_result))
+    }
 
     def views(part: Any) -> list[Any]:
         inner = getattr(part, "contents", None) or []
@@ -50,7 +59,7 @@ def test_names_stay_text_in_the_words(
     comparison = compare_results(hostile_result, other)
     words = next(
         chunk
-        for chunk in beside_chunks(comparison, hostile_result, other)
+        for chunk in flat(beside_chunks(comparison, hostile_result, other))
         if chunk.entity_path == "/difference"
     )
     text = str(words.to_record_batch().to_pydict())

@@ -2,19 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import fields
+from dataclasses import fields, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import polars as pl
 import pytest
 from polars.testing import assert_frame_equal
+from rerun.chunk import RrdReader
 
+from istc_replay.comparison.compare import compare_results
 from istc_replay.config import Config
+from istc_replay.datatypes import Certificate, Log, WindowPlan
+from istc_replay.ingest.result import read_result
 from istc_replay.pipeline import reading
 from istc_replay.pipeline.audit import audit_path
+from istc_replay.pipeline.compare import compare_read
+from istc_replay.pipeline.reading import read_in_parts
 from istc_replay.pipeline.tables import export_tables
 from istc_replay.safety.log_audit import Audit
+
+from ..support.results import repeated_bytes
 
 TABLES = [field.name for field in fields(Audit) if field.name not in ("log", "config", "origin_ns")]
 
@@ -52,3 +60,41 @@ def test_tables_written_in_parts_are_those_of_the_whole(
             assert file.read_bytes() == other.read_bytes(), file.name
         else:
             assert_frame_equal(pl.read_parquet(file), pl.read_parquet(other))
+
+
+def test_a_comparison_in_parts_is_that_of_the_whole(
+    folder: Path,
+    synthetic_plan: tuple[Log, list[WindowPlan]],
+    synthetic_certificates: list[Certificate],
+    synthetic_summary: dict[str, Any],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    log, (plan,) = synthetic_plan
+    moved = replace(log, states=log.states.with_columns(pl.col("y_m") + 1.0))
+    other = repeated_bytes(moved, plan, synthetic_certificates, synthetic_summary, 5)
+    (folder / "other.mcap").write_bytes(other)
+    whole, _ = compare_read(folder / "result.mcap", folder / "other.mcap", folder / "whole")
+    monkeypatch.setattr(reading, "PART_WINDOWS", 2)
+    parts, _ = compare_read(folder / "result.mcap", folder / "other.mcap", folder / "parts")
+    assert parts == whole
+    assert [window.index for window in whole.windows] == [0, 1, 2, 3, 4]
+    for name in ("compare.html", "compare.json"):
+        assert (folder / "parts" / name).read_bytes() == (folder / "whole" / name).read_bytes()
+    one, two = (
+        {chunk.entity_path for chunk in RrdReader(folder / name / "compare.rrd").stream().to_chunks()}
+        for name in ("whole", "parts")
+    )
+    assert one == two
+    assert any(path.startswith("/b/now/planned/box/") for path in one)
+
+
+def test_windows_that_one_alone_has_do_not_keep_the_others_waiting(
+    folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    head = read_result(folder / "result.mcap")
+    fewer = replace(head, summary=head.summary | {"windows": head.summary["windows"][1::2]})
+    monkeypatch.setattr(reading, "PART_WINDOWS", 1)
+    parts = read_in_parts(folder / "result.mcap")
+    found = compare_results(fewer, parts.result, None, parts.each())
+    assert found.windows_only_b == (0, 2, 4)
+    assert found.windows == ()

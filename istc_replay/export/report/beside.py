@@ -59,7 +59,7 @@ def comparison_html(comparison: Comparison, a: Result, b: Result, titles: tuple[
     comparison : Comparison
         Of `a` and `b`.
     a, b : Result
-        The results, for the pictures.
+        The results, for the pictures; of their states those of the windows that are `pictured` will do.
     titles : tuple of str
         What A and B are called, such as their folders; they may hold anything.
 
@@ -230,22 +230,26 @@ def _vehicle_figures(vehicles: Sequence[VehicleChange]) -> Html | None:
     return element("details", element("summary", "Figures of the vehicles"), shown)
 
 
-def _pictures(comparison: Comparison, a: Result, b: Result) -> dict[int, Html]:
-    """Pictures of the windows in which motions or corridors differ most."""
+def pictured(comparison: Comparison) -> list[int]:
+    """The windows with pictures: those in which motions or corridors differ most."""
     differing = [window for window in comparison.windows if window.vehicles or window.pairs]
     worst = sorted(differing, key=lambda w: -max((v.moved_m or 0.0 for v in w.vehicles), default=0.0))
+    return [window.index for window in worst[:_PICTURED]]
+
+
+def _pictures(comparison: Comparison, a: Result, b: Result) -> dict[int, Html]:
     found: dict[int, Html] = {}
     size = 0
-    for window in worst[:_PICTURED]:
+    for index in pictured(comparison):
         if size > _PICTURES_LIMIT:
             break
         drawn = [
             captioned(
-                inline_svg(figure_bytes(figure, "svg"), f"w{window.index}-{kind}", _ALTERNATIVES[kind]),
+                inline_svg(figure_bytes(figure, "svg"), f"w{index}-{kind}", _ALTERNATIVES[kind]),
                 _CAPTIONS[kind],
             )
-            for kind, figure in draw_beside(a, b, window.index).items()
+            for kind, figure in draw_beside(a, b, index).items()
         ]
-        found[window.index] = join([element("h3", "Pictures"), drawn])
-        size += len(found[window.index])
+        found[index] = join([element("h3", "Pictures"), drawn])
+        size += len(found[index])
     return found
