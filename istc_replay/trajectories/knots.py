@@ -1,8 +1,8 @@
-"""NLPs over the knots of one bicycle: one knot's expressions, differentiated once and mapped over all.
+"""Solving NLPs over the knots of one bicycle: quadratic programmes lead near a solution, IPOPT finds it.
 
-Rows and costs concern single knots and meet only in the states that an interval leads to. So the
-Lagrangian's Hessian is block-diagonal, and building an NLP costs the same for any number of knots.
-Variables are the states (6) and controls (2) of a knot after each other, then the last states, then slacks.
+IPOPT follows a barrier from far inside, whatever it starts from, unless it gets multipliers. A few
+passes of sequential quadratic programming (PIQP, Gauss-Newton Hessian) give both, each for the price
+of an iteration of IPOPT or two, so that of 15 iterations 3 are left: those that make it exact.
 """
 
 from __future__ import annotations
@@ -12,51 +12,24 @@ from typing import Any
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from istc_replay.datatypes import FloatArray, SolveStatus
-from istc_replay.errors import SolveError
+from istc_replay.trajectories.mapped import KNOT, STATES, Mapped, Model
 
-STATES, CONTROLS = 6, 2
-_KNOT = STATES + CONTROLS
 _STATUS = {
     "Solve_Succeeded": SolveStatus.OPTIMAL,
     "Solved_To_Acceptable_Level": SolveStatus.FEASIBLE,
     "Infeasible_Problem_Detected": SolveStatus.INFEASIBLE,
     "Maximum_Iterations_Exceeded": SolveStatus.LIMIT,
+    "Linearisation_Infeasible": SolveStatus.INFEASIBLE,
 }
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Rows:
-    """Rows r(knot) that hold at some knots; with `slack` (knots,), each may miss its bounds by that one.
-
-    Rows with slack come twice: plus the slack for the bounds below, minus the slack for those above.
-    """
-
-    of: Any
-    knots: range
-    slack: NDArray[np.int64] | None = None
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Model:
-    """The expressions (SX) of one knot: `knot` (8,), parameters of all knots and of this one.
-
-    `end` (6,) are the states that its controls lead to, `costs` (c,) what is summed over knots.
-    """
-
-    knot: Any
-    shared: Any
-    own: Any
-    end: Any
-    costs: Any
-    rows: tuple[Rows, ...]
+#: Passes at most; IPOPT takes over after one that moves no pose by so much [m, rad].
+_PASSES, _NEAR = 3, 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Answer:
-    """Where IPOPT stopped: states (S, 6), controls (S-1, 2), slacks, the terms of the cost, its report."""
+    """Where the solver stopped: states (S, 6), controls (S-1, 2), slacks, the cost's terms, its report."""
 
     states: FloatArray
     controls: FloatArray
@@ -88,11 +61,16 @@ class KnotNlp:
         self, model: Model, intervals: int, iterations: int, slacks: int = 0, price: float = 0.0
     ) -> None:
         self._intervals, self._slacks = intervals, slacks
-        self._variables = _KNOT * intervals + STATES
-        build = _Build(model, intervals, slacks, price)
-        self._costs = ca.Function("costs", [build.x, build.p], [build.costs])
+        self._variables = KNOT * intervals + STATES
+        build = Mapped(model, intervals, slacks, price)
+        self._costs = ca.Function("costs", [build.x, build.p], [build.costs, build.objective])
+        self._linearised = build.linearised()
+        shapes = {"h": self._linearised.sparsity_out(0), "a": self._linearised.sparsity_out(3)}
+        self._programme = ca.conic("programme", "piqp", shapes, _PROGRAMME)
         problem = {"x": build.x, "p": build.p, "f": build.objective, "g": build.values}
-        self._solver = ca.nlpsol("knots", "ipopt", problem, _options(iterations) | build.derivatives())
+        options = _options(iterations) | build.derivatives()
+        self._near = ca.nlpsol("near", "ipopt", problem, options | _FROM_NEAR)
+        self._far = ca.nlpsol("far", "ipopt", problem, options)
 
     def solve(
         self,
@@ -102,189 +80,93 @@ class KnotNlp:
         rows: tuple[FloatArray, FloatArray],
         shared: FloatArray,
         own: FloatArray,
+        *,
+        insist: bool = True,
     ) -> Answer:
         """Solve from a first guess of states (S, 6) and controls (S-1, 2).
 
         `states` are their bounds (S, 6), `controls_most` (2,) those of the controls to either side,
         `rows` the bounds of the rows in their order; `own` (S, o) are the parameters of each knot.
+        Where the passes lead nowhere, IPOPT starts from the guess itself if told to `insist`.
         """
         n, slack = self._intervals, np.zeros(self._slacks)
         limit = np.tile(controls_most, (n, 1))
         driven = np.zeros(STATES * n)
-        parameters = np.concatenate([shared, own.ravel()])
-        answer = self._solver(
-            x0=np.concatenate([_pack(*guess), slack]),
-            p=parameters,
-            lbx=np.concatenate([_pack(states[0], -limit), slack]),
-            ubx=np.concatenate([_pack(states[1], limit), slack + np.inf]),
-            lbg=np.concatenate([driven, rows[0]]),
-            ubg=np.concatenate([driven, rows[1]]),
-        )
-        report = self._solver.stats()
-        x = np.asarray(answer["x"], dtype=np.float64).ravel()
-        held = x[: _KNOT * n].reshape(-1, _KNOT)
-        return Answer(
-            states=np.vstack([held[:, :STATES], x[_KNOT * n : self._variables]]),
-            controls=held[:, STATES:].copy(),
-            slack=x[self._variables :],
-            costs=np.asarray(self._costs(x, parameters), dtype=np.float64).ravel(),
-            objective=float(answer["f"]),
-            status=_STATUS.get(report["return_status"], SolveStatus.ERROR),
-            reason=report["return_status"],
-            iterations=int(report["iter_count"]),
-        )
-
-
-class _Build:
-    """The NLP's expressions (MX), and its derivatives from those of one knot."""
-
-    def __init__(self, model: Model, intervals: int, slacks: int, price: float) -> None:
-        self._model, self._n = model, intervals
-        n, shared, own = intervals, model.shared.numel(), model.own.numel()
-        self.size = _KNOT * n + STATES + slacks
-        self.x, self.p = ca.MX.sym("x", self.size), ca.MX.sym("p", shared + own * (n + 1))
-        padded = ca.vertcat(self.x[: _KNOT * n + STATES], np.zeros(CONTROLS))
-        self._knots = ca.reshape(padded, _KNOT, n + 1)
-        self._slack = self.x[_KNOT * n + STATES :]
-        # Inputs of every function of a knot, and their values at all knots.
-        self._symbols = [model.knot, model.shared, model.own]
-        self._inputs = [
-            self._knots,
-            ca.repmat(self.p[:shared], 1, n + 1),
-            ca.reshape(self.p[shared:], own, n + 1),
-        ]
-        self._price = price
-        self.costs = ca.sum2(self._mapped([model.costs], range(n + 1))[0])
-        self.objective = ca.sum1(self.costs) + price * ca.sum1(self._slack)
-        ends = self._mapped([model.end], range(n))[0]
-        self.values = self._stacked(ends, [self._mapped([rows.of], rows.knots)[0] for rows in model.rows])
-
-    def _mapped(self, of: list[Any], knots: range, extra: tuple[Any, ...] = (), given: Any = ()) -> Any:
-        """Expressions of a knot at some knots, (size, knots) each; `extra` symbols are worth `given`."""
-        function = ca.Function("knot", [*self._symbols, *extra], of, {"cse": True})
-        columns = slice(knots.start, knots.stop)
-        return function.map(len(knots)).call([*(value[:, columns] for value in self._inputs), *given])
-
-    def _stacked(self, ends: Any, rows: list[Any]) -> Any:
-        """All rows: the states at the intervals' ends, then each kind."""
-        parts = [ca.vec(ends - self._knots[:STATES, 1:])]
-        for kind, values in zip(self._model.rows, rows, strict=True):
-            if kind.slack is None:
-                parts.append(ca.vec(values))
-                continue
-            give = ca.reshape(self._slack[kind.slack.tolist()], 1, len(kind.slack))
-            give = ca.repmat(give, values.size1(), 1)
-            parts += [ca.vec(values + give), ca.vec(values - give)]
-        return ca.vertcat(*parts)
-
-    def derivatives(self) -> dict[str, Any]:
-        """Gradient, Jacobian and Hessian for IPOPT."""
-        factor, multipliers = ca.MX.sym("factor"), ca.MX.sym("multipliers", self.values.numel())
-        return {
-            "grad_f": ca.Function("grad_f", [self.x, self.p], [self.objective, self._gradient()]),
-            "jac_g": ca.Function("jac_g", [self.x, self.p], self._jacobian()),
-            "hess_lag": ca.Function(
-                "hess_lag", [self.x, self.p, factor, multipliers], [self._hessian(factor, multipliers)]
-            ),
-            # None but IPOPT's own derivatives are wanted.
-            "no_nlp_grad": True,
-            "calc_lam_p": False,
+        x = ca.DM(np.concatenate([_pack(*guess), slack]))
+        given = {
+            "p": ca.DM(np.concatenate([shared, own.ravel()])),
+            "lbx": ca.DM(np.concatenate([_pack(states[0], -limit), slack])),
+            "ubx": ca.DM(np.concatenate([_pack(states[1], limit), slack + np.inf])),
+            "lbg": ca.DM(np.concatenate([driven, rows[0]])),
+            "ubg": ca.DM(np.concatenate([driven, rows[1]])),
         }
-
-    def _gradient(self) -> Any:
-        cost = ca.sum1(self._model.costs)
-        slopes = self._mapped([ca.gradient(cost, self._model.knot)], range(self._n + 1))[0]
-        slacks = self._slack.numel()
-        return ca.vertcat(ca.vec(slopes)[: self.size - slacks], np.full(slacks, self._price))
-
-    def _jacobian(self) -> list[Any]:
-        """The rows' values and their Jacobian."""
-        model, n = self._model, self._n
-        entries = _Entries()
-        ends, slopes, at = self._differentiated(model.end, range(n))
-        entries.blocks(at, slopes, STATES * np.arange(n), _KNOT * np.arange(n))
-        linked = np.arange(STATES)
-        entries.blocks(
-            (linked, linked), -np.ones(STATES * n), STATES * np.arange(n), _KNOT * np.arange(1, n + 1)
+        reason, iterations = "Linearisation_Infeasible", 0
+        near = self._approached(x, **given)
+        for solver, start in ((self._near, near), (self._far, {"x0": x} if insist else None)):
+            if start is None:
+                continue
+            x = solver(**start, **given)["x"]
+            reason = solver.stats()["return_status"]
+            iterations += int(solver.stats()["iter_count"])
+            if solver.stats()["success"]:
+                break
+        costs, objective = self._costs(x, given["p"])
+        found = x.full().ravel()
+        held = found[: KNOT * n].reshape(-1, KNOT)
+        return Answer(
+            states=np.vstack([held[:, :STATES], found[KNOT * n : self._variables]]),
+            controls=held[:, STATES:].copy(),
+            slack=found[self._variables :],
+            costs=costs.full().ravel(),
+            objective=float(objective),
+            status=_STATUS.get(reason, SolveStatus.ERROR),
+            reason=reason,
+            iterations=iterations,
         )
-        top, values = STATES * n, []
-        for rows in model.rows:
-            count, height = len(rows.knots), rows.of.numel()
-            value, slopes, at = self._differentiated(rows.of, rows.knots)
-            values.append(value)
-            for sign in (1.0, -1.0) if rows.slack is not None else (0.0,):
-                tops = top + height * np.arange(count)
-                entries.blocks(at, slopes, tops, _KNOT * np.asarray(rows.knots))
-                if rows.slack is not None:
-                    each, one = np.arange(height), np.zeros(height, dtype=int)
-                    left = _KNOT * n + STATES + rows.slack
-                    entries.blocks((each, one), np.full(height * count, sign), tops, left)
-                top += height * count
-        return [self._stacked(ends, values), entries.matrix((top, self.size))]
 
-    def _differentiated(self, of: Any, knots: range) -> Any:
-        """An expression at some knots, the nonzeros of its Jacobian, and where they stand in a block."""
-        jacobian: Any = ca.jacobian(of, self._model.knot)
-        value, slopes = self._mapped([of, ca.vertcat(*jacobian.nonzeros())], knots)
-        return value, slopes, jacobian.sparsity().get_triplet()
-
-    def _hessian(self, factor: Any, multipliers: Any) -> Any:
-        """The upper triangle of the Hessian of factor * objective + multipliers * rows."""
-        model, n = self._model, self._n
-        weight = ca.SX.sym("weight")
-        lagrangian = weight * ca.sum1(model.costs)
-        extra, given, top = [weight], [ca.repmat(factor, 1, n + 1)], 0
-        for of, knots, twice in [
-            (model.end, range(n), False),
-            *((rows.of, rows.knots, rows.slack is not None) for rows in model.rows),
-        ]:
-            height = of.numel()
-            price = ca.SX.sym("price", height)
-            lagrangian += ca.dot(price, of)
-            part = 0.0
-            for _ in range(2 if twice else 1):
-                part += ca.reshape(multipliers[top : top + height * len(knots)], height, len(knots))
-                top += height * len(knots)
-            before, after = ca.MX.zeros(height, knots.start), ca.MX.zeros(height, n + 1 - knots.stop)
-            extra.append(price)
-            given.append(ca.horzcat(before, part, after))
-        hessian: Any = ca.triu(ca.hessian(lagrangian, model.knot)[0])
-        curved = self._mapped([ca.vertcat(*hessian.nonzeros())], range(n + 1), tuple(extra), given)[0]
-        entries = _Entries()
-        entries.blocks(hessian.sparsity().get_triplet(), curved, *[_KNOT * np.arange(n + 1)] * 2)
-        return entries.matrix((self.size, self.size), within=_KNOT * n + STATES)
-
-
-class _Entries:
-    """Nonzeros of a matrix, put together block by block."""
-
-    def __init__(self) -> None:
-        self._rows: list[NDArray[np.int64]] = []
-        self._columns: list[NDArray[np.int64]] = []
-        self._values: list[Any] = []
-
-    def blocks(self, at: Any, values: Any, tops: NDArray[np.int64], lefts: NDArray[np.int64]) -> None:
-        """One block's nonzeros `at` (rows, columns) at each of several places; their values in turn."""
-        rows, columns = (np.asarray(part, dtype=np.int64) for part in at)
-        self._rows.append((tops[:, None] + rows).ravel())
-        self._columns.append((lefts[:, None] + columns).ravel())
-        self._values.append(ca.vec(values))
-
-    def matrix(self, shape: tuple[int, int], within: int | None = None) -> Any:
-        """The matrix; entries from row or column `within` on are left out."""
-        rows, columns = np.concatenate(self._rows), np.concatenate(self._columns)
-        kept = np.arange(len(rows))
-        if within is not None:
-            kept = np.flatnonzero((rows < within) & (columns < within))
-        sparsity, order = ca.Sparsity.triplet(*shape, rows[kept].tolist(), columns[kept].tolist(), False)
-        if sparsity.nnz() != len(kept):
-            raise SolveError("an NLP's entries overlap: please report this")
-        return ca.sparsity_cast(ca.vertcat(*self._values)[kept[order].tolist()], sparsity)
+    def _approached(self, x: Any, p: Any, lbx: Any, ubx: Any, lbg: Any, ubg: Any) -> dict[str, Any] | None:
+        """Variables and multipliers near a solution, None where a linearisation about x has none."""
+        for _ in range(_PASSES):
+            hessian, gradient, values, jacobian = self._linearised(x, p)
+            step = self._programme(
+                h=hessian,
+                g=gradient,
+                a=jacobian,
+                lbx=lbx - x,
+                ubx=ubx - x,
+                lba=lbg - values,
+                uba=ubg - values,
+            )
+            if not self._programme.stats()["success"]:
+                return None
+            x = x + step["x"]
+            moved = step["x"].full()[: KNOT * self._intervals].reshape(-1, KNOT)
+            if abs(moved[:, :3]).max() < _NEAR:
+                break
+        return {"x0": x, "lam_x0": step["lam_x"], "lam_g0": step["lam_a"]}
 
 
 def _pack(states: FloatArray, controls: FloatArray) -> FloatArray:
     """States (S, 6) and controls (S-1, 2) in the order of the variables."""
     return np.concatenate([np.hstack([states[:-1], controls]).ravel(), states[-1]])
+
+
+#: A pass need not be exact: what is wrong by centimetres is mended by the next, or by IPOPT.
+_PROGRAMME: dict[str, Any] = {
+    "error_on_fail": False,
+    "piqp": {
+        "eps_abs": 1e-3,
+        "eps_rel": 1e-3,
+        "eps_duality_gap_abs": 1e-2,
+        "eps_duality_gap_rel": 1e-2,
+        "max_iter": 40,
+    },
+}
+#: From near a solution the barrier is where it ends from the start.
+_FROM_NEAR: dict[str, Any] = {"ipopt.warm_start_init_point": "yes", "ipopt.mu_init": 1e-5} | {
+    f"ipopt.warm_start_{what}": 1e-4
+    for what in ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
+}
 
 
 def _options(iterations: int) -> dict[str, Any]:

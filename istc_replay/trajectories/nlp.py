@@ -16,7 +16,8 @@ import numpy as np
 from istc_replay.config import TrajectoriesConfig
 from istc_replay.datatypes import Dimensions, FloatArray, SolveStatus
 from istc_replay.trajectories.collocation import interval_end
-from istc_replay.trajectories.knots import STATES, KnotNlp, Model, Rows
+from istc_replay.trajectories.knots import KnotNlp
+from istc_replay.trajectories.mapped import STATES, Model, Rows
 from istc_replay.trajectories.walls import Grid
 
 #: Price of a metre of slack; far above what a metre of wall is worth to eq. (16).
@@ -42,10 +43,11 @@ class NlpData:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NlpSolution:
-    """Where IPOPT stopped: states (S, 6), controls (S-1, 2) and its report."""
+    """Where IPOPT stopped: states (S, 6), controls (S-1, 2), the most that a wall gave way, its report."""
 
     states: FloatArray
     controls: FloatArray
+    slack_m: float
     costs: tuple[float, float, float]
     objective: float
     status: SolveStatus
@@ -84,8 +86,13 @@ class CorridorNlp:
             low, high = np.concatenate([low, -free]), np.concatenate([free, high])
         return np.concatenate([data.lower[1:, 4], low]), np.concatenate([data.upper[1:, 4], high])
 
-    def solve(self, data: NlpData, states: FloatArray, controls: FloatArray) -> NlpSolution:
-        """Solve for one vehicle from a first guess, states (S, 6) and controls (S-1, 2)."""
+    def solve(
+        self, data: NlpData, states: FloatArray, controls: FloatArray, *, insist: bool = True
+    ) -> NlpSolution:
+        """Solve for one vehicle from a first guess, states (S, 6) and controls (S-1, 2).
+
+        With `insist`, also where quadratic programmes lead nowhere from there.
+        """
         config, size = self._config, data.dimensions
         vehicle = [size.wheelbase_m, size.rear_axle_to_centre_m, size.length_m / 2, size.width_m / 2]
         weights = [
@@ -103,11 +110,13 @@ class CorridorNlp:
             rows=self._row_bounds(data),
             shared=np.array([*vehicle, *weights]),
             own=data.targets_m,
+            insist=insist,
         )
         smoothness, comfort, pivotal = found.costs.tolist()
         return NlpSolution(
             states=found.states,
             controls=found.controls,
+            slack_m=float(found.slack.max(initial=0.0)),
             costs=(smoothness, comfort, pivotal),
             objective=found.objective,
             status=found.status,
@@ -130,7 +139,7 @@ def _model(grid: Grid, integrator: str, slack: Any) -> Model:
         shared=ca.vertcat(vehicle, weights),
         own=target,
         end=interval_end(knot, vehicle[0], grid.step_s, integrator),
-        costs=_costs(knot, vehicle, weights, target),
+        residuals=_residuals(knot, vehicle, weights, target),
         rows=(Rows(between, range(n)), Rows(_corners(knot, vehicle), range(1, n + 1), slack)),
     )
 
@@ -146,11 +155,8 @@ def _corners(knot: Any, vehicle: Any) -> Any:
     return ca.vertcat(*corners)
 
 
-def _costs(knot: Any, vehicle: Any, weights: Any, target: Any) -> Any:
-    """The three costs, eq. (13), (14), (15), at a knot: they are summed as printed, without the step."""
-    smoothness = weights[0] * (ca.tan(knot[3]) / vehicle[0]) ** 2
-    comfort = weights[1] * knot[STATES] ** 2 + weights[2] * knot[STATES + 1] ** 2
-    centre_x = knot[0] + vehicle[1] * ca.cos(knot[2])
-    centre_y = knot[1] + vehicle[1] * ca.sin(knot[2])
-    pivotal = weights[3] * (centre_x - target[0]) ** 2 + weights[4] * (centre_y - target[1]) ** 2
-    return ca.vertcat(smoothness, comfort, pivotal)
+def _residuals(knot: Any, vehicle: Any, weights: Any, target: Any) -> tuple[Any, ...]:
+    """What eq. (13), (14), (15) square at a knot: they are summed as printed, without the step."""
+    scale = ca.sqrt(weights)
+    centre = knot[:2] + vehicle[1] * ca.vertcat(ca.cos(knot[2]), ca.sin(knot[2]))
+    return scale[0] * ca.tan(knot[3]) / vehicle[0], scale[1:3] * knot[STATES:], scale[3:] * (centre - target)

@@ -96,13 +96,15 @@ class TrajectoryPlanner:
             return unchanged
         records: list[SolveRecord] = []
         margin = self._config.margin_m
-        found = self._drive(task, margin, task.first_guess(self._config), records)
+        # Where quadratic programmes see no way in, the soft twin tells sooner than IPOPT if there is one.
+        found = self._drive(task, margin, task.first_guess(self._config), records, insist=False)
         if found is None:
             soft = self._soften(task, margin, records)
             out = self._excess(task, soft)
             # The soft solution kept the margin as well: what is short of that may fit without it.
             if out.max() <= max(margin, _NEARLY_INSIDE_M):
-                found = self._drive(task, 0.0, (soft.states, soft.controls), records)
+                kept = margin if soft.slack_m <= _TOUCHING_M else 0.0
+                found = self._drive(task, kept, (soft.states, soft.controls), records, insist=True)
             if found is None:
                 return TrajectoryOutcome(None, _diagnosis(task, soft, out), tuple(records))
         trajectory = _trajectory(task, found.states, found.controls, found.costs)
@@ -140,7 +142,13 @@ class TrajectoryPlanner:
         return TrajectoryOutcome(_trajectory(own, states, controls, costs), None, (record,))
 
     def _drive(
-        self, task: Task, margin_m: float, guess: tuple[FloatArray, FloatArray], records: list[SolveRecord]
+        self,
+        task: Task,
+        margin_m: float,
+        guess: tuple[FloatArray, FloatArray],
+        records: list[SolveRecord],
+        *,
+        insist: bool,
     ) -> NlpSolution | None:
         """Solve the hard NLP until the car-box stays inside in continuous time; None where it fails."""
         extra = np.zeros((len(task.grid.wall_units), 4))
@@ -148,7 +156,7 @@ class TrajectoryPlanner:
             data = task.data(self._config, margin_m, extra)
             if (data.walls_m[:, ::2] > data.walls_m[:, 1::2]).any():
                 return None  # adjacent cubes do not even meet
-            solution = self._nlp(task.grid, soft=False).solve(data, *guess)
+            solution = self._nlp(task.grid, soft=False).solve(data, *guess, insist=insist)
             records.append(self._record(task, "nlp", solution))
             if not solution.solved:
                 return None

@@ -27,7 +27,8 @@ from istc_replay.datatypes import (
 )
 from istc_replay.geometry import shift_along, to_frame, to_map
 from istc_replay.trajectories.collocation import interval_end
-from istc_replay.trajectories.knots import STATES, KnotNlp, Model, Rows
+from istc_replay.trajectories.knots import KnotNlp
+from istc_replay.trajectories.mapped import STATES, Model, Rows
 
 #: Weights of the distance to the recorded centres [1/m^2] and headings [1/rad^2], of steering rate, jerk
 #: and curvature.
@@ -195,9 +196,8 @@ def _model(intervals: int, step_s: float) -> Model:
     """The expressions of one knot: it tracks centres and headings, and starts near the first of them."""
     knot, size, target = ca.SX.sym("knot", 8), ca.SX.sym("size", 2), ca.SX.sym("target", 3)
     off = knot[:2] + size[1] * ca.vertcat(ca.cos(knot[2]), ca.sin(knot[2])) - target[:2]
-    cost = _POSITION * ca.sumsqr(off) + _HEADING * (knot[2] - target[2]) ** 2
-    cost += _CURVATURE * (ca.tan(knot[3]) / size[0]) ** 2
-    cost += _STEERING_RATE * knot[STATES] ** 2 + _JERK * knot[STATES + 1] ** 2
+    weights = (_POSITION, _POSITION, _HEADING, _CURVATURE, _STEERING_RATE, _JERK)
+    weighted = ca.vertcat(off, knot[2] - target[2], ca.tan(knot[3]) / size[0], knot[STATES:])
     # The speed's Bezier point: with it, the speed keeps its limits between the knots too.
     between = knot[4] + knot[5] * (step_s / 2)
     return Model(
@@ -205,7 +205,7 @@ def _model(intervals: int, step_s: float) -> Model:
         shared=size,
         own=target,
         end=interval_end(knot, size[0], step_s, "gauss"),
-        costs=cost,
+        residuals=(np.sqrt(weights) * weighted,),
         # The plan has to begin where the vehicle was recorded.
         rows=(Rows(off, range(1)), Rows(between, range(intervals))),
     )
