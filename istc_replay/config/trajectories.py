@@ -40,6 +40,8 @@ class TrajectoriesConfig(Section):
     """Largest speed; raised to 1.15 times the fastest recorded speed plus 1 where that is more."""
     margin_m: NonNegative = 0.02
     """The car-box keeps this distance from the walls of its cubes at the knots."""
+    quadratic_passes: Annotated[int, Field(ge=0)] = 5
+    """Quadratic programmes that lead IPOPT to a solution, at most; 0: IPOPT alone, from the first guess."""
     iteration_budget: Count = 300
     """IPOPT iterations of one solve."""
     feedback_rounds: Annotated[int, Field(ge=0)] = 3

@@ -16,6 +16,8 @@ import numpy as np
 from istc_replay.datatypes import FloatArray, SolveStatus
 from istc_replay.trajectories.mapped import KNOT, STATES, Mapped, Model
 
+#: As solves are recorded.
+SOLVERS = "piqp, ipopt"
 _STATUS = {
     "Solve_Succeeded": SolveStatus.OPTIMAL,
     "Solved_To_Acceptable_Level": SolveStatus.FEASIBLE,
@@ -23,8 +25,8 @@ _STATUS = {
     "Maximum_Iterations_Exceeded": SolveStatus.LIMIT,
     "Linearisation_Infeasible": SolveStatus.INFEASIBLE,
 }
-#: Passes at most; IPOPT takes over after one that moves no pose by so much [m, rad].
-_PASSES, _NEAR = 3, 0.05
+#: IPOPT takes over after a pass that moves no pose by so much [m, rad].
+_NEAR = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,6 +53,8 @@ class KnotNlp:
         Control intervals, one fewer than knots.
     iterations : int
         IPOPT's budget.
+    passes : int
+        How many quadratic programmes may lead to a solution.
     slacks : int
         How many slacks there are, at least 0 each.
     price : float
@@ -58,9 +62,15 @@ class KnotNlp:
     """
 
     def __init__(
-        self, model: Model, intervals: int, iterations: int, slacks: int = 0, price: float = 0.0
+        self,
+        model: Model,
+        intervals: int,
+        iterations: int,
+        passes: int,
+        slacks: int = 0,
+        price: float = 0.0,
     ) -> None:
-        self._intervals, self._slacks = intervals, slacks
+        self._intervals, self._slacks, self._passes = intervals, slacks, passes
         self._variables = KNOT * intervals + STATES
         build = Mapped(model, intervals, slacks, price)
         self._costs = ca.Function("costs", [build.x, build.p], [build.costs, build.objective])
@@ -101,8 +111,9 @@ class KnotNlp:
             "ubg": ca.DM(np.concatenate([driven, rows[1]])),
         }
         reason, iterations = "Linearisation_Infeasible", 0
-        near = self._approached(x, **given)
-        for solver, start in ((self._near, near), (self._far, {"x0": x} if insist else None)):
+        near = self._approached(x, **given) if self._passes else None
+        far = {"x0": x} if insist or not self._passes else None
+        for solver, start in ((self._near, near), (self._far, far)):
             if start is None:
                 continue
             x = solver(**start, **given)["x"]
@@ -126,7 +137,7 @@ class KnotNlp:
 
     def _approached(self, x: Any, p: Any, lbx: Any, ubx: Any, lbg: Any, ubg: Any) -> dict[str, Any] | None:
         """Variables and multipliers near a solution, None where a linearisation about x has none."""
-        for _ in range(_PASSES):
+        for _ in range(self._passes):
             hessian, gradient, values, jacobian = self._linearised(x, p)
             step = self._programme(
                 h=hessian,

@@ -76,7 +76,7 @@ class CorridorNlp:
         slack = np.arange(n) // grid.per_unit if soft else None
         slacks = grid.units if soft else 0
         model = _model(grid, config.integrator, slack)
-        self._nlp = KnotNlp(model, n, config.iteration_budget, slacks, _SLACK_WEIGHT)
+        self._nlp = KnotNlp(model, n, config.iteration_budget, config.quadratic_passes, slacks, _SLACK_WEIGHT)
 
     def _row_bounds(self, data: NlpData) -> tuple[FloatArray, FloatArray]:
         """Bounds of the rows of `_model`."""

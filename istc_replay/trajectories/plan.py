@@ -19,6 +19,7 @@ from istc_replay.datatypes import (
     Undrivable,
     read_only,
 )
+from istc_replay.trajectories.knots import SOLVERS
 from istc_replay.trajectories.nlp import COSTS, CorridorNlp, NlpSolution
 from istc_replay.trajectories.task import WALLS, Task
 from istc_replay.trajectories.walls import SIDES, Grid, box_extents, excess, raised
@@ -196,7 +197,7 @@ class TrajectoryPlanner:
         return SolveRecord(
             layer="trajectory",
             stage=stage,
-            solver="ipopt",
+            solver=SOLVERS,
             status=solution.status,
             vehicle_id=task.vehicle_id,
             objective=solution.objective,

@@ -27,7 +27,7 @@ from istc_replay.datatypes import (
 )
 from istc_replay.geometry import shift_along, to_frame, to_map
 from istc_replay.trajectories.collocation import interval_end
-from istc_replay.trajectories.knots import KnotNlp
+from istc_replay.trajectories.knots import SOLVERS, KnotNlp
 from istc_replay.trajectories.mapped import STATES, Model, Rows
 
 #: Weights of the distance to the recorded centres [1/m^2] and headings [1/rad^2], of steering rate, jerk
@@ -135,7 +135,7 @@ class RecordingRepairer:
         record = SolveRecord(
             layer="guidance",
             stage="repair",
-            solver="ipopt",
+            solver=SOLVERS,
             status=found.status,
             vehicle_id=participant.vehicle_id,
             objective=found.objective,
@@ -177,7 +177,8 @@ class RecordingRepairer:
         key = (intervals, step_s)
         if key not in self._compiled:
             model = _model(intervals, step_s)
-            self._compiled[key] = KnotNlp(model, intervals, self._config.iteration_budget)
+            budgets = self._config.iteration_budget, self._config.quadratic_passes
+            self._compiled[key] = KnotNlp(model, intervals, *budgets)
         return self._compiled[key]
 
 

@@ -237,7 +237,7 @@ def test_every_solve_is_recorded() -> None:
     assert (record.layer, record.stage, record.solver, record.vehicle_id) == (
         "trajectory",
         "nlp",
-        "ipopt",
+        "piqp, ipopt",
         "a",
     )
     assert record.status is SolveStatus.OPTIMAL
