@@ -16,7 +16,7 @@ from istc_replay.scenario import build_scenario
 from istc_replay.tracks import road_users
 from istc_replay.trajectories.plan import TrajectoryPlanner
 from istc_replay.trajectories.repair import RecordingRepairer
-from istc_replay.windows import CROWDED_UNIT_S, TRAFFIC_UNITS_S
+from istc_replay.windows import CROWDED_UNIT_S, TRAFFIC_UNITS_S, fitting_unit_s
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -87,7 +87,8 @@ def plan_part(
     bounds: dict[str, LateralBound] = {}
     first = build_scenario(part, config, users=users, handed=handed, bounds=bounds)
     # Finer time units leave more room to cars that are close: they are tried before any is frozen.
-    finer = TRAFFIC_UNITS_S if first.traffic else (CROWDED_UNIT_S,) if first.small_crowd else ()
+    crowded = fitting_unit_s(CROWDED_UNIT_S, config.window, traffic=False)
+    finer = TRAFFIC_UNITS_S if first.traffic else (crowded,) if first.small_crowd else ()
     units = [unit_s for unit_s in finer if config.window.unit_s == "auto" and unit_s < first.window.unit_s]
     tried: list[Rounds] = []
     for unit_s in (None, *units):

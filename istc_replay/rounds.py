@@ -28,6 +28,7 @@ if TYPE_CHECKING:
         Corridors,
         Lateral,
         LateralBound,
+        Participant,
         Scenario,
         SolveRecord,
         Trajectory,
@@ -192,17 +193,8 @@ class Rounds:
         self.seeds.again([(numbers[u.vehicle_id], u.unit) for u in undrivable])
         return True
 
-    def _late(self, found: tuple[Trajectory, ...]) -> dict[str, float]:
-        """Vehicles that were recorded to stand at their goal, do not come to it, and end how far [m] away."""
-        late = {}
-        for participant, trajectory in zip(self.ready.scenario.participants, found, strict=True):
-            x, y, heading = trajectory.states[-1, :3]
-            end = shift_along(x, y, heading, trajectory.dimensions.rear_axle_to_centre_m)
-            away = float(np.hypot(*(participant.recording.poses[-1, :2] - end)))
-            stands = participant.recording.speeds_mps[-1] < STANDING_MPS and not participant.goes_on
-            if stands and away > ARRIVED_M:
-                late[participant.vehicle_id] = away
-        return late
+    def _late(self, found: Sequence[Trajectory]) -> dict[str, float]:
+        return late_vehicles(self.ready.scenario.participants, found)
 
     def _corridors(self) -> Corridors:
         self.progress("corridors" if self.round == 1 else f"corridors, round {self.round}")
@@ -331,6 +323,19 @@ class Rounds:
 
     def _after(self) -> str:
         return "" if self.round == 1 else f" (after {self.round} rounds)"
+
+
+def late_vehicles(participants: Sequence[Participant], found: Sequence[Trajectory]) -> dict[str, float]:
+    """Vehicles that were recorded to stand at their goal, do not come to it, and end how far [m] away."""
+    late = {}
+    for participant, trajectory in zip(participants, found, strict=True):
+        x, y, heading = trajectory.states[-1, :3]
+        end = shift_along(x, y, heading, trajectory.dimensions.rear_axle_to_centre_m)
+        away = float(np.hypot(*(participant.recording.poses[-1, :2] - end)))
+        stands = participant.recording.speeds_mps[-1] < STANDING_MPS and not participant.goes_on
+        if stands and away > ARRIVED_M:
+            late[participant.vehicle_id] = away
+    return late
 
 
 def _lateral(trajectory: Trajectory, bound: LateralBound) -> Lateral:

@@ -39,6 +39,8 @@ from istc_replay.windows import (
     SMALL_CROWD_UNIT_S,
     LogPart,
     first_unit_s,
+    fitting_unit_s,
+    in_steps,
     log_parts,
 )
 
@@ -75,13 +77,14 @@ def build_scenario(
     users: Mapping[str, RoadUser] | None = None,
     handed: Mapping[str, Handed] | None = None,
     bounds: dict[str, LateralBound] | None = None,
+    frame: Frame | None = None,
 ) -> Scenario:
     """Build the scenario of one window.
 
     With `unit_s` unset the time unit is the configured one, in traffic the calm one where the
     recording has no conflict at it. `users` are those of the part, where they are known already; `handed`
     vehicles start where the plan of the window before has led them. `bounds` keeps lateral bounds (map
-    frame) for other time units.
+    frame) for other time units. `frame` is the corridor frame where it is not to be chosen.
     """
     known: dict[str, LateralBound] = {} if bounds is None else bounds
     if users is None:
@@ -97,7 +100,8 @@ def build_scenario(
         if not scenario.crowded or config.window.unit_s != "auto" or config.corridors.formulation == "paper":
             return scenario
         unit_s = SMALL_CROWD_UNIT_S if scenario.small_crowd else CROWDED_UNIT_S
-    return _Builder.of(part, users, config, unit_s, handed or {}, known).scenario()
+        unit_s = fitting_unit_s(unit_s, config.window, traffic=part.traffic)
+    return _Builder.of(part, users, config, unit_s, handed or {}, known, frame).scenario()
 
 
 @dataclass(slots=True)
@@ -122,6 +126,7 @@ class _Builder:
         unit_s: float,
         handed: Mapping[str, Handed],
         bounds: dict[str, LateralBound],
+        frame: Frame | None = None,
     ) -> _Builder:
         """Sort the road users of a window and choose its frame."""
         start_ns, length_ns, index = part.span
@@ -129,10 +134,12 @@ class _Builder:
         end_ns = start_ns + units * seconds_to_ns(unit_s)
         here = (name for name, user in users.items() if user.present(start_ns, end_ns))
         present = {name: users[name] for name in sorted(here, key=_natural)}
-        window = Window(index, start_ns, end_ns, unit_s, int(units), _local_frame(present.values()))
+        local = _local_frame(present.values()) if frame is None else frame
+        window = Window(index, start_ns, end_ns, unit_s, int(units), local)
         builder = cls(part, config, window, present, handed, bounds)
         builder.sort()
-        if config.window.frame == "road" or (config.window.frame == "auto" and part.traffic):
+        turned = config.window.frame == "road" or (config.window.frame == "auto" and part.traffic)
+        if frame is None and turned:
             builder.turn(road_yaw(builder.bodies(), window.units, unit_s))
         return builder
 
@@ -277,11 +284,14 @@ class _Builder:
 
     def route(self, vehicle_id: str) -> Recording | None:
         """Of a scene that is planned in steps, its track before, in and after the window."""
-        if self.part.traffic or self.config.window.start != "handed_over":
+        if not in_steps(self.config.window, traffic=self.part.traffic):
             return None
-        user = self.users[vehicle_id]
+        user, (start_ns, length_ns, _) = self.users[vehicle_id], self.part.span
         times, poses = user.in_frame(self.window)
-        return Recording(read_only(times), read_only(poses), read_only(user.speeds_mps))
+        # What ends within the window does not go on, though its last moments are less than a time unit.
+        ends = int(user.times_ns[-1]) <= start_ns + length_ns
+        told = times <= (self.usable[vehicle_id].times_s[-1] if ends else times[-1])
+        return Recording(read_only(times[told]), read_only(poses[told]), read_only(user.speeds_mps[told]))
 
     def approach(self, vehicle_id: str, heading_rad: float) -> FloatArray:
         """The recorded path (P, 3) up to the window's start; its last heading is near that given."""

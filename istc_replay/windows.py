@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -114,7 +115,22 @@ def first_unit_s(config: WindowConfig, *, traffic: bool) -> float:
     """Length of the time unit that is tried first [s]; a window of calm traffic may have a longer one."""
     if config.unit_s != "auto":
         return config.unit_s
-    return TRAFFIC_UNITS_S[0] if traffic else SCENE_UNIT_S
+    return TRAFFIC_UNITS_S[0] if traffic else fitting_unit_s(SCENE_UNIT_S, config, traffic=False)
+
+
+def in_steps(config: WindowConfig, *, traffic: bool) -> bool:
+    """Whether a scene is planned in steps: each window goes on from the plan of the one before."""
+    return config.start == "handed_over" and not traffic
+
+
+def fitting_unit_s(unit_s: float, config: WindowConfig, *, traffic: bool) -> float:
+    """The time unit [s] or, in steps, the next shorter one that divides the stride, to shift plans by."""
+    if config.unit_s != "auto" or not in_steps(config, traffic=traffic):
+        return unit_s
+    stride = seconds_to_ns(config.stride_s)
+    fewest = max(1, -(-stride // seconds_to_ns(unit_s)))
+    count = next((n for n in range(fewest, 2 * fewest + 2) if stride % n == 0), None)
+    return unit_s if count is None else stride / count / NS_PER_S
 
 
 def window_spans(log: Log, config: Config) -> list[Span]:
@@ -141,6 +157,8 @@ def window_spans(log: Log, config: Config) -> list[Span]:
     if span <= seconds_to_ns(window.horizon_s if traffic else window.whole_log_s):
         return [(start, span, 0)]
     horizon, stride = seconds_to_ns(window.horizon_s), seconds_to_ns(window.stride_s)
+    if in_steps(window, traffic=traffic):  # who goes on stands at a window's end, and brakes after its step
+        horizon = max(horizon, stride + _stop_ns(log, config))
     if span // max(stride, 1) > _MOST_WINDOWS:
         raise ScenarioError(
             f"{log.path}: {span / NS_PER_S:g} s in strides of {window.stride_s:g} s are more than "
@@ -150,6 +168,13 @@ def window_spans(log: Log, config: Config) -> list[Span]:
     spans = ((start + offset, min(horizon, span - offset), index) for index, offset in enumerate(offsets))
     # One that begins after another has reached the end would tell nothing more.
     return [whole for whole in spans if whole[1] >= unit_ns and whole[2] * stride + horizon - stride < span]
+
+
+def _stop_ns(log: Log, config: Config) -> int:
+    """How long [ns] the fastest recorded vehicle takes to stand, in whole halves of a second."""
+    speeds = log.states["speed_mps"].drop_nulls()
+    fastest = float(speeds.filter(speeds.is_finite()).abs().max() or 0.0)  # type: ignore[arg-type]
+    return seconds_to_ns(math.ceil(2.0 * fastest / config.corridors.deceleration_mps2) / 2.0)
 
 
 def log_parts(log: Log, config: Config, indices: Iterable[int] | None = None) -> Iterator[LogPart]:

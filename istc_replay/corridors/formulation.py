@@ -73,6 +73,8 @@ def build_problem(
         block = make_block(participant, guide, slack, offset)
         own = limits[block.vehicle_id]
         steps = make_steps(guide, own, reach_m, unit_s, participant.start.speed_mps)
+        if participant.goes_on:
+            steps = _standing_in_the_end(steps, config.deceleration_mps2 * unit_s**2 / 2.0)
         if participant.lateral is not None:
             reach = centre_reach_m(participant.lateral, participant.dimensions.width_m)
             rows.append(lateral_rows(block, guide, participant.lateral.path_m, reach, own.room_m))
@@ -87,6 +89,13 @@ def build_problem(
         offset += len(low)
     bounds = np.concatenate(lower), np.concatenate(upper)
     return assemble(tuple(blocks), Rows.join(rows), bounds, scenario, config)
+
+
+def _standing_in_the_end(steps: Steps, most_m: float) -> Steps:
+    """Steps of which the last is short enough to be braked on to stand."""
+    step_m = np.array(steps.step_m)
+    step_m[-1, 1] = max(step_m[-1, 0], min(step_m[-1, 1], most_m))
+    return replace(steps, step_m=step_m)
 
 
 def _narrow_cone(slack_rad: FloatArray, share: float) -> FloatArray:

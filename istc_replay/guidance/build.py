@@ -9,7 +9,13 @@ import numpy as np
 
 from istc_replay.datatypes import FloatArray, Guidance, read_only
 from istc_replay.guidance.other_routes import other_routes, standing_obstacles
-from istc_replay.guidance.path import Path, constant_speed, constant_speed_then_stop, eased
+from istc_replay.guidance.path import (
+    Path,
+    constant_speed,
+    constant_speed_then_stop,
+    eased,
+    standing_in_the_end,
+)
 from istc_replay.road_frame import heading_slack
 
 if TYPE_CHECKING:
@@ -23,6 +29,9 @@ STANDING_MPS = 0.5
 _SAMPLES_PER_UNIT = 10
 #: How far on it has come back to its path to a third [m], and rounding in times [s].
 _BACK_M, _INSTANT_S = 10.0, 1e-6
+#: Who goes on beyond the window brakes so to stand at its end: as hard as pivotal points may by default.
+#: Its plan, which is smooth, begins so much earlier.
+_STAND_MPS2, _BRAKES_BEFORE_S = 3.0, 0.5
 
 
 def build_guidance(scenario: Scenario, config: GuidanceConfig) -> tuple[Guidance, ...]:
@@ -103,6 +112,8 @@ def _constant(
         arc = constant_speed_then_stop(times_s, speed, stop_m, config.stop_deceleration_mps2)
     else:
         arc = constant_speed(times_s, speed)
+    if participant.goes_on:
+        arc = standing_in_the_end(times_s, arc, _STAND_MPS2)
     return kind, path.at(arc)
 
 
@@ -110,16 +121,22 @@ def _continued(
     participant: Participant, ahead: FloatArray, times_s: FloatArray, speed: float, config: GuidanceConfig
 ) -> tuple[str, FloatArray]:
     """Kind and poses of a guidance that goes on with the plan before, then along the path."""
-    ahead = ahead[: 1 + len(ahead) // 2]  # the half next to the seam: what follows may be done better
+    # The half next to the seam, for what follows may be done better; nor how the plan comes to stand.
+    until_s = min(ahead[-1, 0] / 2.0, ahead[-1, 0] - speed / _STAND_MPS2 - _BRAKES_BEFORE_S)
+    ahead = ahead[: max(1, int(np.searchsorted(ahead[:, 0], until_s + _INSTANT_S, side="right")))]
     last, before = ahead[-1], ahead[max(len(ahead) - 2, 0)]
     kind, path, stop_m = _path(participant, last[1:], config)
     later = times_s > last[0] + _INSTANT_S
     planned = np.column_stack([np.interp(times_s, ahead[:, 0], column) for column in ahead[:, 1:].T])
     if later.any():
-        pace = float(np.hypot(*(last[1:3] - before[1:3]))) / max(last[0] - before[0], _INSTANT_S)
+        pace = participant.start.speed_mps
+        if len(ahead) > 1:
+            pace = float(np.hypot(*(last[1:3] - before[1:3]))) / (last[0] - before[0])
         end_m = stop_m if stop_m is not None and _stands(participant) else np.inf
         since = np.concatenate([[0.0], times_s[later] - last[0]])
         arc = eased(since, pace, speed, end_m, config.stop_deceleration_mps2)
+        if participant.goes_on:
+            arc = standing_in_the_end(since, arc, _STAND_MPS2)
         on = path.at(arc[1:])
         on[:, 2] += 2.0 * np.pi * np.round((last[3] - on[0, 2]) / (2.0 * np.pi))
         # It comes back to the path by and by.

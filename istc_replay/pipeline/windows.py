@@ -134,11 +134,20 @@ def _outcome(
     before: WindowPlan | None = None,
 ) -> WindowOutcome:
     from istc_replay.coordinate import plan_part
+    from istc_replay.datatypes import SOUND
+    from istc_replay.fallback import carried_on
     from istc_replay.pipeline.judge import judged
 
     plan = plan_part(part, config, planners, told, before)
     told("certifying")
-    return judged(plan, part, config, before)
+    outcome = judged(plan, part, config, before)
+    if before is None or outcome.plan.status in SOUND:
+        return outcome
+    shifted = carried_on(outcome.plan, before, part, config)
+    if shifted is None:
+        return outcome
+    kept = judged(shifted, part, config, before)
+    return kept if kept.plan.status in SOUND else outcome
 
 
 # --- parallel processes ----------------------------------------------------------------------

@@ -33,7 +33,8 @@ class Task:
     """The NLP's numbers for one vehicle, moved so that the car-box starts at the origin.
 
     `cubes_m` (K, 4), `pivots_m` (K+1, 2), `headings_rad` (K+1,) of the start and then of the
-    guidance, unwrapped; `origin_m` (2,) where the start lies in the corridor frame.
+    guidance, unwrapped; `origin_m` (2,) where the start lies in the corridor frame. Who goes on beyond the
+    window has to stand at its end.
     """
 
     vehicle_id: str
@@ -46,6 +47,7 @@ class Task:
     pivots_m: FloatArray
     headings_rad: FloatArray
     speed_max_mps: float
+    stands_at_end: bool = False
 
     @classmethod
     def of(
@@ -95,6 +97,7 @@ class Task:
             pivots_m=pivots,
             headings_rad=headings,
             speed_max_mps=speed_max_mps,
+            stands_at_end=participant.goes_on,
         )
 
     def start_fault(self, config: TrajectoriesConfig) -> Undrivable | None:
@@ -190,4 +193,6 @@ class Task:
         # A recorded deceleration must not make a standing car reverse within the first step.
         stop = -2.0 * speed / self.grid.step_s
         lower[0, 5], upper[0, 5] = max(lower[0, 5], stop), max(upper[0, 5], stop)
+        if self.stands_at_end:
+            lower[-1, 4:] = upper[-1, 4:] = 0.0
         return lower, upper

@@ -75,6 +75,7 @@ class Lattice:
         self._moves = moves
         self.first_unit, self.units = participant.first_unit, participant.units
         self.stops, self._overlap_max_m = stops, overlap_max_m
+        self._goes_on = participant.goes_on
         self._cost = self._costs(guide, obstacles, gap_m, weight, unit_s)
         lengths = np.array([path.length_m for path in moves.paths])
         longer = np.maximum(lengths - lengths[0], 0.0)
@@ -191,11 +192,13 @@ class Lattice:
         """What last moves (W, places within reach, P) cost by where they end, and for not standing there."""
         steps, _, paths = self._moves.shape
         places = np.arange(self._furthest[-1] + 1)[:, None]
-        if not self.stops:
-            return np.zeros((steps, len(places), paths))
-        ends = np.arange(steps)[:, None, None] + places
-        cost = np.asarray(_MISS_COST * LEVEL_M * np.maximum(self._moves.last - ends, 0))
-        cost[2:] += _MISS_COST
+        cost = np.zeros((steps, len(places), paths))
+        if self.stops:
+            ends = np.arange(steps)[:, None, None] + places
+            cost += _MISS_COST * LEVEL_M * np.maximum(self._moves.last - ends, 0)
+            cost[2:] += _MISS_COST
+        if self._goes_on:  # it has to be able to stand then
+            cost[self._moves.braked_step + 1 :] = np.inf
         return cost
 
     def _add_prices(self, unit: int, others: Sequence[Met], price: float) -> None:

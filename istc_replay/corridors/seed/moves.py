@@ -60,6 +60,8 @@ class Moves:
         #: How many places a unit a step may be shorter or longer than the one before.
         self.fewer = max(1, math.ceil(_DECELERATION_MPS2 * unit_s**2 / LEVEL_M))
         self.more = max(1, round(_ACCELERATION_MPS2 * unit_s**2 / LEVEL_M))
+        #: Places of the longest step in which a car can brake to stand.
+        self.braked_step = int(_DECELERATION_MPS2 * unit_s**2 / 2.0 / LEVEL_M)
         steps = round(_FASTEST_MPS * unit_s / LEVEL_M) + 1
         self.shape = (steps, max(len(path.poses) for path in paths), len(paths))
         self.last = np.array([len(path.poses) - 1 for path in paths])
