@@ -16,7 +16,7 @@ from istc_replay.scenario import build_scenario
 from istc_replay.tracks import road_users
 from istc_replay.trajectories.plan import TrajectoryPlanner
 from istc_replay.trajectories.repair import RecordingRepairer
-from istc_replay.windows import CROWDED_UNIT_S, TRAFFIC_UNITS_S, fitting_unit_s
+from istc_replay.windows import CROWDED_UNIT_S, TRAFFIC_UNITS_S, fitting_unit_s, in_steps, lengthened
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -81,17 +81,38 @@ def plan_part(
         The plan of the window before, which hands its vehicles over.
     """
     began = time.perf_counter()
+    longer = lengthened(part) if in_steps(config.window, traffic=part.traffic) else []
+    tried: list[Rounds] = []
+    for own in (part, *longer):
+        plan = _plan_span(own, config, planners, progress, before, tried)
+        if plan.trajectories:
+            break
+    seconds: dict[str, float] = {}
+    for rounds in tried:
+        for name, value in rounds.seconds.items():
+            seconds[name] = seconds.get(name, 0.0) + value
+    seconds["scenario"] = time.perf_counter() - began - sum(seconds.values())
+    return replace(plan, seconds=seconds)
+
+
+def _plan_span(
+    part: LogPart,
+    config: Config,
+    planners: Planners,
+    progress: Callable[[str], None],
+    before: WindowPlan | None,
+    tried: list[Rounds],
+) -> WindowPlan:
+    """Plan one span of time, at finer time units where that fails; adds to the rounds that were `tried`."""
     handed = handed_over(before, part.span[0])
     users = road_users(part.states)
     repairs = Repairs(planners.repairer)
     bounds: dict[str, LateralBound] = {}
     first = build_scenario(part, config, users=users, handed=handed, bounds=bounds)
+    stepping, known = in_steps(config.window, traffic=part.traffic), len(tried)
+    plan: WindowPlan | None = None
     # Finer time units leave more room to cars that are close: they are tried before any is frozen.
-    crowded = fitting_unit_s(CROWDED_UNIT_S, config.window, traffic=False)
-    finer = TRAFFIC_UNITS_S if first.traffic else (crowded,) if first.small_crowd else ()
-    units = [unit_s for unit_s in finer if config.window.unit_s == "auto" and unit_s < first.window.unit_s]
-    tried: list[Rounds] = []
-    for unit_s in (None, *units):
+    for unit_s in (None, *_finer_units(first, config)):
         scenario = (
             first
             if unit_s is None
@@ -101,16 +122,21 @@ def plan_part(
         if unit_s is not None:
             tried[-1].leave_the_tree()
         plan = tried[-1].run()
-        if plan is not None:
-            break
-    else:
-        plan = _best_partial(tried)
-    seconds: dict[str, float] = {}
-    for rounds in tried:
-        for name, value in rounds.seconds.items():
-            seconds[name] = seconds.get(name, 0.0) + value
-    seconds["scenario"] = time.perf_counter() - began - sum(seconds.values())
-    return replace(plan, seconds=seconds)
+        if plan is not None and (plan.trajectories or not stepping):
+            return plan
+    return plan or _best_partial(tried[known:])
+
+
+def _finer_units(scenario: Scenario, config: Config) -> list[float]:
+    """Time units [s] to try a window at where there is no plan for all at its own."""
+    if config.window.unit_s != "auto":
+        return []
+    finer: tuple[float, ...] = ()
+    if scenario.traffic:
+        finer = TRAFFIC_UNITS_S
+    elif scenario.small_crowd or in_steps(config.window, traffic=False):
+        finer = (fitting_unit_s(CROWDED_UNIT_S, config.window, traffic=False),)
+    return [unit_s for unit_s in finer if unit_s < scenario.window.unit_s]
 
 
 def _best_partial(tried: Sequence[Rounds]) -> WindowPlan:

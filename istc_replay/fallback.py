@@ -21,25 +21,22 @@ from istc_replay.datatypes import (
     read_only,
 )
 from istc_replay.guidance.build import build_guidance
-from istc_replay.handover import handed_over
+from istc_replay.handover import handed_over, held, units_since
 from istc_replay.rounds import late_vehicles
 from istc_replay.scenario import build_scenario
 from istc_replay.trajectories.nlp import COSTS
 from istc_replay.trajectories.task import Task
 from istc_replay.trajectories.walls import Grid
-from istc_replay.units import NS_PER_S
 from istc_replay.windows import in_steps
 
 if TYPE_CHECKING:
     from istc_replay.config import Config, CorridorsConfig
-    from istc_replay.datatypes import FloatArray, Guidance, Participant, Trajectory
+    from istc_replay.datatypes import Guidance, Participant, Trajectory
     from istc_replay.windows import LogPart
 
 FOUND_BY = "the plan before"
 #: A plan that ends with no more speed and acceleration stands [m/s, m/s^2].
 _STANDING = 1e-6
-#: Rounding in a number of time units.
-_ROUNDING = 1e-6
 
 
 def carried_on(failed: WindowPlan, before: WindowPlan, part: LogPart, config: Config) -> WindowPlan | None:
@@ -63,11 +60,10 @@ def carried_on(failed: WindowPlan, before: WindowPlan, part: LogPart, config: Co
         its time units do not divide the stride.
     """
     window = before.scenario.window
-    units = (part.span[0] - window.start_ns) / NS_PER_S / window.unit_s
-    shift = round(units)
+    shift = units_since(before, part.span[0])
     if not in_steps(config.window, traffic=part.traffic) or before.status not in SOUND:
         return None
-    if before.frozen or abs(units - shift) > _ROUNDING:
+    if before.frozen or shift is None:
         return None
     handed = handed_over(before, part.span[0])
     scenario = build_scenario(part, config, window.unit_s, handed=handed, frame=window.frame)
@@ -93,7 +89,12 @@ def carried_on(failed: WindowPlan, before: WindowPlan, part: LogPart, config: Co
         status=WindowStatus.NOT_CERTIFIED,  # until the certificate has said otherwise
         reason=f"the plan before goes on, since no other was found ({failed.status}: {failed.reason})",
         guidance=guidance,
-        corridors=Corridors(SolveStatus.FEASIBLE, tuple(shifted), objective=objective, found_by=FOUND_BY),
+        corridors=Corridors(
+            SolveStatus.FEASIBLE,
+            tuple(shifted),
+            objective=objective,
+            found_by=FOUND_BY,
+        ),
         trajectories=tuple(trajectories),
         undrivable=(),
         frozen=(),
@@ -108,8 +109,8 @@ def _shifted(corridor: Corridor, shift: int, participant: Participant, guide: Gu
     return Corridor(
         corridor.vehicle_id,
         0,
-        _held(corridor.cubes_m[shift:], participant.units),
-        _held(corridor.pivots_m[shift:], participant.units + 1),
+        read_only(held(corridor.cubes_m[shift:], participant.units)),
+        read_only(held(corridor.pivots_m[shift:], participant.units + 1)),
         guide.points_m,
     )
 
@@ -128,7 +129,7 @@ def _going_on(
     moving = np.abs(before.states[-1, 4:]).max() > _STANDING
     if first >= len(before.controls) or (moving and len(before.controls) - first < intervals):
         return None
-    states = _held(before.states[first:], intervals + 1)
+    states = held(before.states[first:], intervals + 1)
     controls = np.zeros((intervals, 2))
     own = before.controls[first:][:intervals]
     controls[: len(own)] = own
@@ -144,12 +145,6 @@ def _going_on(
         cost=sum(costs),
         costs=dict(zip(COSTS, costs, strict=True)),
     )
-
-
-def _held(rows: FloatArray, count: int) -> FloatArray:
-    """So many rows: the first of them, or all and the last one again and again."""
-    rows = rows[:count]
-    return read_only(np.vstack([rows, *[rows[-1:]] * (count - len(rows))]))
 
 
 def _objective(corridor: Corridor, priority: float, config: CorridorsConfig) -> float:

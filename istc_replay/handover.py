@@ -75,6 +75,19 @@ def handed_over(before: WindowPlan | None, start_ns: int) -> dict[str, Handed]:
     return found
 
 
+def units_since(before: WindowPlan, start_ns: int) -> int | None:
+    """Time units of a plan that are over at an instant; None in the midst of one."""
+    window = before.scenario.window
+    units = (start_ns - window.start_ns) / NS_PER_S / window.unit_s
+    return round(units) if abs(units - round(units)) < _INSTANT_S else None
+
+
+def held(rows: FloatArray, count: int) -> FloatArray:
+    """So many rows: the first of them, or all and then the last one again and again."""
+    rows = rows[:count]
+    return np.concatenate([rows, *[rows[-1:]] * (count - len(rows))])
+
+
 def state_at(trajectory: Trajectory, at_s: float) -> list[float] | None:
     """The state (6,) that a plan's held controls cause at an instant; None outside of it."""
     times = trajectory.times_s

@@ -253,8 +253,8 @@ class Rounds:
 
     def _yield_to_conflicts(self, corridors: Corridors) -> bool:
         """Narrow the cars' headings, lower the gaps, then freeze the fewest; whether any of it helps."""
-        if not self.ready.scenario.traffic:
-            return False
+        if not self.ready.scenario.traffic:  # only who was handed over has headings to narrow
+            return self.config.corridors.formulation != "paper" and self.ready.narrow(corridors.culprits)
         if self.ready.narrow(corridors.culprits) or self.ready.lower_gaps(corridors.culprits):
             return True
         names = least_cover(corridors.culprits, self.ready.scenario.participants)

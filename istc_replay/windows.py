@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -39,6 +39,8 @@ TRAFFIC_BUDGET = {"milp_node_budget": 1000}
 _MARGIN_S = 1.0
 #: Of windows that are handed over so long before too, and of a scene's so long after: its way to the goal.
 _BEHIND_S = _AHEAD_S = 20.0
+#: How many times longer a window of a scene in steps reaches ahead where no plan is found.
+_LONGER = (1.5, 2.25)
 #: No log is cut into more windows than this.
 _MOST_WINDOWS = 1_000_000
 
@@ -214,6 +216,18 @@ def log_parts(log: Log, config: Config, indices: Iterable[int] | None = None) ->
         states = ordered.slice(first, end - first).sort("_place").drop("_place")
         near = scene_near(log.scene, states.select("x_m", "y_m").to_numpy())
         yield LogPart(spans[index], states, near, traffic, parked, Road.of(near) if traffic else None)
+
+
+def lengthened(part: LogPart) -> list[LogPart]:
+    """The same part of a scene with its window reaching further and further ahead, to the end at most."""
+    start_ns, length_ns, index = part.span
+    left_ns = int(part.states["time_ns"].max()) - start_ns  # type: ignore[arg-type]
+    lengths = [min(int(length_ns * longer), left_ns) for longer in _LONGER]
+    return [
+        replace(part, span=(start_ns, longer_ns, index))
+        for longer_ns in dict.fromkeys(lengths)
+        if longer_ns > length_ns
+    ]
 
 
 def _parked(states: pl.DataFrame, config: WindowConfig) -> frozenset[str]:

@@ -16,9 +16,9 @@ import numpy as np
 from istc_replay.corridors.blocks import make_block
 from istc_replay.corridors.problem import CONSTANT, Block, CorridorProblem, Limits, Rows
 from istc_replay.corridors.reachable import reachable_bounds
-from istc_replay.corridors.rows import lateral_rows, overlap_rows, range_rows, step_rows
+from istc_replay.corridors.rows import first_step_rows, lateral_rows, overlap_rows, range_rows, step_rows
 from istc_replay.corridors.separations import all_separations
-from istc_replay.corridors.steps import make_steps, tube_m
+from istc_replay.corridors.steps import make_steps, standing_in_the_end, tube_m
 from istc_replay.lateral import centre_reach_m
 
 if TYPE_CHECKING:
@@ -74,7 +74,7 @@ def build_problem(
         own = limits[block.vehicle_id]
         steps = make_steps(guide, own, reach_m, unit_s, participant.start.speed_mps)
         if participant.goes_on:
-            steps = _standing_in_the_end(steps, config.deceleration_mps2 * unit_s**2 / 2.0)
+            steps = standing_in_the_end(steps, config.deceleration_mps2 * unit_s**2 / 2.0)
         if participant.lateral is not None:
             reach = centre_reach_m(participant.lateral, participant.dimensions.width_m)
             rows.append(lateral_rows(block, guide, participant.lateral.path_m, reach, own.room_m))
@@ -82,6 +82,8 @@ def build_problem(
             steps = replace(steps, cone=np.minimum(_narrow_cone(guide.slack_rad, own.tightness), own.cone))
         tube = tube_m(block, steps.along, (config.backward_m, reach_m, config.sideways_m))
         rows += [overlap_rows(block), range_rows(block, tube), step_rows(block, steps)]
+        if participant.ahead is not None:
+            rows.append(first_step_rows(block, participant, own, unit_s))
         low, high = reachable_bounds(block, steps, tube, scenario.bounds_m, offset)
         lower.append(low)
         upper.append(high)
@@ -89,13 +91,6 @@ def build_problem(
         offset += len(low)
     bounds = np.concatenate(lower), np.concatenate(upper)
     return assemble(tuple(blocks), Rows.join(rows), bounds, scenario, config)
-
-
-def _standing_in_the_end(steps: Steps, most_m: float) -> Steps:
-    """Steps of which the last is short enough to be braked on to stand."""
-    step_m = np.array(steps.step_m)
-    step_m[-1, 1] = max(step_m[-1, 0], min(step_m[-1, 1], most_m))
-    return replace(steps, step_m=step_m)
 
 
 def _narrow_cone(slack_rad: FloatArray, share: float) -> FloatArray:

@@ -10,11 +10,14 @@ from istc_replay.corridors.problem import CONSTANT, Block, IntArray, Rows
 from istc_replay.datatypes import FloatArray
 
 if TYPE_CHECKING:
+    from istc_replay.corridors.problem import Limits
     from istc_replay.corridors.steps import Steps
-    from istc_replay.datatypes import Guidance
+    from istc_replay.datatypes import Guidance, Participant
 
 #: Layer 1 may use this share of the sideways room, or all but the second [m]: layer 2 needs some too.
 _LATERAL_SHARE, _LATERAL_ROOM_M = 0.8, 0.3
+#: A car that begins a time unit steered may end it this share nearer to straight on, or as much farther.
+_STEERED_SHARE = 0.5
 
 
 def overlap_rows(block: Block) -> Rows:
@@ -71,6 +74,21 @@ def step_rows(block: Block, steps: Steps) -> Rows:
         weights = np.stack([direction, -2.0 * direction, direction], axis=1)
         parts.append(difference_rows(block, "eq. (12)", at, weights, *bounds.T))
     return Rows.join(parts)
+
+
+def first_step_rows(block: Block, participant: Participant, limits: Limits, unit_s: float) -> Rows:
+    """Keep the first step of who was handed over near where its heading and steering lead it.
+
+    The guidance's chord need not tell of that, where it turns back to the route.
+    """
+    start, size = participant.start, participant.dimensions
+    way = start.speed_mps * unit_s
+    turn = way * np.tan(start.steering_rad or 0.0) / size.wheelbase_m
+    aside = way * turn / 2.0 + size.rear_axle_to_centre_m * np.sin(turn)
+    most = limits.lateral_acceleration_mps2 * unit_s**2 / 2.0 + _STEERED_SHARE * abs(aside)
+    normal = np.array([[-np.sin(start.heading_rad), np.cos(start.heading_rad)]])
+    offset = float((normal @ block.start_m)[0]) + aside
+    return Rows.of("eq. (12)", block.pivot[1:2], normal, offset - most, offset + most)
 
 
 def lateral_rows(

@@ -65,7 +65,9 @@ def find_corridors(
     build = build_paper_problem if paper else build_problem
     problem = build(scenario, guidance, config, limits, speed_max_mps)
     refused = _refused(problem)
-    if refused is not None:
+    # Who was handed over need not be where its guidance would have it: seeds write the rows about themselves.
+    handed = any(participant.approach is not None for participant in scenario.participants)
+    if refused is not None and not (handed and scenario.crowded and seeds is not None and not paper):
         return refused, None
     search = Search(problem)
 
@@ -75,7 +77,7 @@ def find_corridors(
     if seeds is not None and not paper and not scenario.traffic and (scenario.crowded or seeds.attempt > 0):
         reason = search_seeds(search, scenario, guidance, rewritten, config, seeds)
         if search.z is None and scenario.crowded:
-            return _unfound(search, SolveStatus.LIMIT, reason), None
+            return refused or _unfound(search, SolveStatus.LIMIT, reason), None
     if not paper and search.z is None:
         tree = grow_tree(search, config, first_try=seeds is None)
         if tree.z is None and (tree.exhausted or seeds is None):

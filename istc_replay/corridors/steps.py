@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -59,6 +59,13 @@ def make_steps(
     second[1:-1, 2] = np.minimum(-limits.lateral_acceleration_mps2 * square, leftward)
     second[1:-1, 3] = np.maximum(limits.lateral_acceleration_mps2 * square, leftward)
     return Steps(along, step, heading, second, np.full(len(chords), limits.cone))
+
+
+def standing_in_the_end(steps: Steps, most_m: float) -> Steps:
+    """The steps of who has to stand in the end: the last is short enough to be braked on."""
+    step_m = np.array(steps.step_m)
+    step_m[-1, 1] = max(step_m[-1, 0], min(step_m[-1, 1], most_m))
+    return replace(steps, step_m=step_m)
 
 
 def tube_m(block: Block, along: FloatArray, reach_m: tuple[float, float, float]) -> FloatArray:

@@ -123,6 +123,7 @@ def _continued(
     """Kind and poses of a guidance that goes on with the plan before, then along the path."""
     # The half next to the seam, for what follows may be done better; nor how the plan comes to stand.
     until_s = min(ahead[-1, 0] / 2.0, ahead[-1, 0] - speed / _STAND_MPS2 - _BRAKES_BEFORE_S)
+    until_s = max(until_s, times_s[_SAMPLES_PER_UNIT])  # the first time unit: its car is steered
     ahead = ahead[: max(1, int(np.searchsorted(ahead[:, 0], until_s + _INSTANT_S, side="right")))]
     last, before = ahead[-1], ahead[max(len(ahead) - 2, 0)]
     kind, path, stop_m = _path(participant, last[1:], config)
