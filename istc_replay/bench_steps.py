@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from istc_replay.config import Config
     from istc_replay.datatypes import Log
-    from istc_replay.pipeline.replay import Replay
+    from istc_replay.pipeline.assembly import Replay
 
 
 @dataclass(frozen=True, slots=True)

@@ -11,6 +11,7 @@ from istc_replay.errors import SolveError
 from istc_replay.field import Field, Repairs, prepare
 from istc_replay.guidance.build import build_guidance
 from istc_replay.handover import handed_over
+from istc_replay.jam import jammed
 from istc_replay.rounds import Rounds
 from istc_replay.scenario import build_scenario
 from istc_replay.tracks import road_users
@@ -83,10 +84,12 @@ def plan_part(
     began = time.perf_counter()
     longer = lengthened(part) if in_steps(config.window, traffic=part.traffic) else []
     tried: list[Rounds] = []
-    for own in (part, *longer):
-        plan = _plan_span(own, config, planners, progress, before, tried)
-        if plan.trajectories:
+    plan = _plan_span(part, config, planners, progress, before, tried)
+    for further in longer:  # a jam is left to no later window: there is no way back
+        if not plan.trajectories or not jammed(plan):
             break
+        other = _plan_span(further, config, planners, progress, before, tried)
+        plan = other if other.trajectories else plan
     seconds: dict[str, float] = {}
     for rounds in tried:
         for name, value in rounds.seconds.items():

@@ -39,7 +39,7 @@ TRAFFIC_BUDGET = {"milp_node_budget": 1000}
 _MARGIN_S = 1.0
 #: Of windows that are handed over so long before too, and of a scene's so long after: its way to the goal.
 _BEHIND_S = _AHEAD_S = 20.0
-#: How many times longer a window of a scene in steps reaches ahead where no plan is found.
+#: How many times longer a window of a scene in steps reaches ahead where its plan would end in a jam.
 _LONGER = (1.5, 2.25)
 #: No log is cut into more windows than this.
 _MOST_WINDOWS = 1_000_000
