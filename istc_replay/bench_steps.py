@@ -22,13 +22,17 @@ if TYPE_CHECKING:
     from istc_replay.datatypes import Log
     from istc_replay.pipeline.assembly import Replay
 
+#: Horizon and stride [s].
+Step = tuple[float, float]
+
 
 @dataclass(frozen=True, slots=True)
 class StepsRow:
-    """One scene by one horizon and stride [s]; both are None where it is planned in one window.
+    """One scene by one horizon and stride; both are None where it is planned in one window.
 
-    `length_m` sums the motion that is driven: of each plan what lies before the next window begins.
-    `cpu_s` is processor time of all that a replay does, CBC's included.
+    `sound` windows pass every check; in `kept` ones of these the plan before goes on. `cpu_s` is processor
+    time of the replay, CBC's included. `length_m` is that of what is driven, of each plan up to where the
+    next window begins, None where a window has no plan.
     """
 
     name: str
@@ -46,12 +50,9 @@ class StepsRow:
 
 
 def bench_steps(
-    names: Sequence[str],
-    steps: Sequence[tuple[float, float]],
-    config: Config,
-    told: Callable[[str], None],
+    names: Sequence[str], steps: Sequence[Step], config: Config, told: Callable[[str], None]
 ) -> list[StepsRow]:
-    """Replay scenes in one window, and in steps of each horizon and stride [s]."""
+    """Replay scenes in one window, and in steps; `told` hears what is being measured."""
     rows = []
     for name in names:
         log = recorded_log(find_sample(name).record())
@@ -61,7 +62,28 @@ def bench_steps(
     return rows
 
 
-def _row(name: str, log: Log, config: Config, step: tuple[float, float] | None) -> StepsRow:
+def table(rows: Sequence[StepsRow]) -> list[list[str]]:
+    """Rows of text."""
+    head = ["scene", "horizon, stride", "windows sound", "plan before", "arrived", "CPU s", "length m"]
+    lines = [[*head, "least gap m"]]
+    for row in rows:
+        whole = row.horizon_s is None
+        lines.append(
+            [
+                row.name,
+                "one window" if whole else f"{row.horizon_s:g} s, {row.stride_s:g} s",
+                f"{row.sound} of {row.windows}",
+                "-" if whole else str(row.kept),
+                f"{row.arrived} of {row.vehicles}",
+                f"{row.cpu_s:.1f}",
+                "-" if row.length_m is None else f"{row.length_m:.1f}",
+                "-" if row.min_separation_m is None else f"{row.min_separation_m:.2f}",
+            ]
+        )
+    return lines
+
+
+def _row(name: str, log: Log, config: Config, step: Step | None) -> StepsRow:
     if step is not None:
         window = {"whole_log_s": min(step), "horizon_s": step[0], "stride_s": step[1], "start": "handed_over"}
         config = config.model_copy(update={"window": config.window.model_copy(update=window)})
@@ -69,7 +91,7 @@ def _row(name: str, log: Log, config: Config, step: tuple[float, float] | None) 
     done = replay_read(log, config)
     spent = _cpu_s() - began
     windows = done.summary["windows"]
-    checks = [c for w in windows for c in (w.get("certificate") or {}).get("checks", ())]
+    checks = [check for window in windows for check in window["certificate"]["checks"]]
     gaps = [c["margin"] for c in checks if c["check"] == "separation" and c["margin"] is not None]
     horizon, stride = step or (None, None)
     return StepsRow(
@@ -80,7 +102,7 @@ def _row(name: str, log: Log, config: Config, step: tuple[float, float] | None) 
         windows=len(windows),
         sound=sum(w["status"] in SOUND for w in windows),
         kept=sum(w["corridors"]["found_by"] == FOUND_BY for w in windows),
-        arrived=sum(v["arrived"] is True for v in windows[-1]["vehicles"]),
+        arrived=sum(v["arrived"] is not False for v in windows[-1]["vehicles"]),
         cpu_s=spent,
         length_m=_driven_m(done),
         min_separation_m=min(gaps, default=None),

@@ -65,7 +65,10 @@ def carried_on(failed: WindowPlan, before: WindowPlan, part: LogPart, config: Co
         return None
     if before.frozen or shift is None:
         return None
-    handed = handed_over(before, part.span[0])
+    # It stands at its end, not before: the window reaches as far, where the one before reached further.
+    start_ns, length_ns, index = part.span
+    part = replace(part, span=(start_ns, max(length_ns, window.end_ns - start_ns), index))
+    handed = handed_over(before, start_ns)
     scenario = build_scenario(part, config, window.unit_s, handed=handed, frame=window.frame)
     guidance = build_guidance(scenario, config.guidance)
     corridors = {c.vehicle_id: c for c in before.corridors.corridors} if before.corridors else {}
@@ -87,7 +90,7 @@ def carried_on(failed: WindowPlan, before: WindowPlan, part: LogPart, config: Co
         failed,
         scenario=scenario,
         status=WindowStatus.NOT_CERTIFIED,  # until the certificate has said otherwise
-        reason=f"the plan before goes on, since no other was found ({failed.status}: {failed.reason})",
+        reason=f"the plan before goes on: {failed.status}: {failed.reason}",
         guidance=guidance,
         corridors=Corridors(
             SolveStatus.FEASIBLE,

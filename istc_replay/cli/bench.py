@@ -22,6 +22,11 @@ if TYPE_CHECKING:
 @click.option("--runs", default=5, show_default=True, type=click.IntRange(1, 100), help="Runs of each scene.")
 @click.option("--fast", is_flag=True, help="Leave the proof of the bound out.")
 @click.option("--perturb", default=0, type=click.IntRange(0, 1000), help="Replay N perturbed copies instead.")
+@click.option(
+    "--steps",
+    multiple=True,
+    help="Plan in steps too, HORIZON/STRIDE in seconds such as 8/4; repeatable.",
+)
 @click.option("--json", "as_json", is_flag=True, help="Print JSON.")
 @click.option(
     "-o", "--output", type=click.Path(path_type=Path), help="Write bench.json and pictures to this folder."
@@ -42,6 +47,7 @@ def bench(
     runs: int,
     fast: bool,
     perturb: int,
+    steps: tuple[str, ...],
     as_json: bool,
     output: Path | None,
     kind: str,
@@ -66,6 +72,8 @@ def bench(
         )
     if perturb:
         return _perturbed(names, perturb, config, as_json)
+    if steps:
+        return _in_steps(names, [_step(text) for text in steps], config, as_json)
     return _measured(names, runs, config, as_json, output, kind, scaling)
 
 
@@ -80,6 +88,37 @@ def _perturbed(names: tuple[str, ...], count: int, config: Config, as_json: bool
         ]
     print_lines([json.dumps({"perturbed": found}, indent=1)] if as_json else tell.robustness_lines(found))
     return 0 if all(f["certified_and_arrived"] == f["perturbed"] for f in found) else 4
+
+
+def _step(text: str) -> tuple[float, float]:
+    """Horizon and stride [s]."""
+    horizon, _, stride = text.partition("/")
+    try:
+        step = float(horizon), float(stride)
+    except ValueError:
+        step = 0.0, 0.0
+    if not 0.0 < step[1] <= step[0] < 1e4:
+        raise click.BadParameter(
+            f"'{text}' is no HORIZON/STRIDE in seconds, such as 8/4, the stride no longer than the horizon",
+            param_hint="'--steps'",
+        )
+    return step
+
+
+def _in_steps(names: tuple[str, ...], steps: list[tuple[float, float]], config: Config, as_json: bool) -> int:
+    from dataclasses import asdict
+
+    from istc_replay.bench_steps import bench_steps, table
+
+    with Progress("bench") as progress:
+        rows = bench_steps(names, steps, config, lambda what: progress(what, 0, 1))
+    if as_json:
+        click.echo(json.dumps({"steps": [asdict(row) for row in rows]}, indent=1))
+    else:
+        print_lines(tell.table_lines(table(rows)))
+        for row in rows:
+            print_lines(f"  {row.name}, window {reason}" for reason in row.reasons)
+    return 0 if all(row.sound == row.windows and row.arrived == row.vehicles for row in rows) else 4
 
 
 def _measured(
