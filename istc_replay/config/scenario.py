@@ -23,7 +23,7 @@ class WindowConfig(Section):
     whole_log_s: Positive = 20.0
     """A log no longer than this is one window."""
     horizon_s: Positive = 8.0
-    """Length of a window of a longer log."""
+    """Length of a window of a longer log; in steps, at least the stride and time to stand."""
     stride_s: Positive = 8.0
     """Distance from one window's start to the next."""
     start: Literal["recording", "handed_over"] = "recording"

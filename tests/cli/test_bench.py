@@ -78,3 +78,21 @@ def test_scaling_draws_cost_against_size(call: Command, tmp_path: Path) -> None:
     done = call("bench", "--scaling", "--runs", "1", "--fast", "-o", tmp_path, "--format", "svg")
     assert "dense_8" in done.stdout
     assert "Cost against size" in (tmp_path / "scaling.svg").read_text()
+
+
+def test_bench_plans_a_scene_in_steps_beside_one_window(call: Command) -> None:
+    done = call("bench", "--scene", "dense_4", "--fast", "--steps", "8/4", "--json")
+    assert done.returncode == 0, done.stderr
+    whole, steps = json.loads(done.stdout)["steps"]
+    assert (whole["windows"], whole["horizon_s"], whole["arrived"]) == (1, None, 4)
+    assert (steps["horizon_s"], steps["stride_s"], steps["arrived"]) == (8.0, 4.0, 4)
+    assert steps["sound"] == steps["windows"] > 1
+    assert abs(steps["length_m"] - whole["length_m"]) < 0.05 * whole["length_m"]
+
+
+@pytest.mark.parametrize("step", ["8", "nan/1"])
+def test_a_step_that_cannot_be_meant_is_one_line(call: Command, step: str) -> None:
+    done = call("bench", "--steps", step)
+    assert done.returncode == 2
+    assert len(done.stderr.splitlines()) == 1
+    assert "no HORIZON/STRIDE" in done.stderr
