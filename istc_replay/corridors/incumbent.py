@@ -10,7 +10,7 @@ import numpy as np
 
 from istc_replay.corridors import cbc, groups, neighbourhoods
 from istc_replay.corridors.miqp import build_size_milp
-from istc_replay.corridors.polish import polish
+from istc_replay.corridors.polish import polish_about
 from istc_replay.corridors.relinearise import frames_about, with_references
 from istc_replay.datatypes import FloatArray, SolveRecord, SolveStatus
 
@@ -112,7 +112,7 @@ def fill(search: Search, z: FloatArray, config: CorridorsConfig, *, sized: bool)
     problem = search.problem
     grown = _size_cubes(search, z, config) if sized and len(problem.separations) else z
     began = time.perf_counter()
-    polished = polish(problem, problem.separations.best(grown))
+    polished = polish_about(problem, grown)
     search.offer(polished, "joint polish")
     search.record(
         "joint polish",
@@ -186,14 +186,13 @@ def follow(
         problem = with_references(rewritten(frames), guidance)
         if len(problem.impossible) or cramped(problem):
             return
-        choice = problem.separations.best(search.z)
-        polished = polish(problem, choice)
+        polished = polish_about(problem, search.z)
         found = [polished]
         much = _MUCH * abs(search.objective)
         if searched and polished is not None and problem.objective(polished) < search.objective - much:
             least = problem.least_cubes(polished)
             refined, _ = neighbourhoods.improve(problem, least, config.tree_node_budget // 4)
-            found.append(polish(problem, problem.separations.best(refined)))
+            found.append(polish_about(problem, refined))
         best = min((z for z in found if z is not None), key=problem.objective, default=None)
         better = best is not None and problem.objective(best) < search.objective - _WORTH * abs(
             search.objective

@@ -11,7 +11,7 @@ import numpy as np
 
 from istc_replay.corridors.conflict_tree import BETTER, TOGETHER, Group, Tree
 from istc_replay.corridors.pivot_qp import Choices, PivotQp
-from istc_replay.corridors.polish import polish
+from istc_replay.corridors.polish import polish_about
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -148,7 +148,7 @@ def improve(
         for size in _NEIGHBOURHOOD_NODES:
             z, more = _sweep(problem, qp, z, size, node_budget - nodes, together)
             nodes += more
-        settled = polish(problem, problem.separations.best(z))
+        settled = polish_about(problem, z)
         if settled is not None and problem.reference_cost(settled) < problem.reference_cost(z):
             z = problem.least_cubes(settled)
         if nodes >= node_budget or problem.reference_cost(z) > (1.0 - _WORTH_A_SWEEP) * before:

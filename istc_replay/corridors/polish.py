@@ -12,12 +12,16 @@ from istc_replay.corridors.problem import CONSTANT, Rows
 from istc_replay.datatypes import FloatArray, read_only
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from istc_replay.corridors.problem import CorridorProblem, IntArray
 
 #: A solution that misses a row by more than this is no solution.
 FEASIBLE_M = 1e-6
+#: Rows that hold by more than this are tried without [m].
+_NEAR_M = 10.0
+#: Solutions take 10 to 40 iterations; what has none, or stalls within the tolerance, would go on to 250.
+MOST_ITERATIONS = 80
 
 
 def polish(
@@ -44,6 +48,49 @@ def polish(
         rows = Rows.join([rows, problem.separations.rows(choice)])
     everything = np.arange(problem.size)
     return _least(problem, rows, everything, share)
+
+
+def polish_about(
+    problem: CorridorProblem, z: FloatArray, choice: IntArray | None = None
+) -> FloatArray | None:
+    """Minimise eq. (4) with an option of each separation enforced: those given, else what z meets best."""
+    table = problem.separations
+    if choice is None:
+        choice = table.best(z)
+    everything = np.arange(problem.size)
+
+    def solved(chosen: Rows) -> FloatArray | None:
+        return _least(problem, Rows.join([problem.rows, chosen]), everything, 1.0)
+
+    return with_near_rows(table.rows(choice), z, solved)
+
+
+def with_near_rows(
+    rows: Rows, z: FloatArray, solved: Callable[[Rows], FloatArray | None]
+) -> FloatArray | None:
+    """Solve with those of some rows alone, of lower bounds, that z does not meet by far.
+
+    Rows that never bind would fill a QP's factors. A solution that misses one of those left out is sought
+    again with what is near to it.
+
+    Parameters
+    ----------
+    rows : Rows
+        What may be left out.
+    z : (n,) array
+        Near to the solution.
+    solved : callable
+        Gives z for some of the rows, or None.
+    """
+    near = rows.value(z) - rows.lower < _NEAR_M
+    while True:
+        found = solved(rows.taken(near))
+        if found is None:
+            return None
+        slack = rows.value(found) - rows.lower
+        if not (slack[~near] < -FEASIBLE_M).any():
+            return found
+        near |= slack < _NEAR_M
 
 
 def own_indices(problem: CorridorProblem, vehicles: Sequence[int]) -> IntArray:
@@ -89,7 +136,7 @@ def _least(problem: CorridorProblem, rows: Rows, indices: IntArray, share: float
         "polish",
         "piqp",
         {"h": hessian.sparsity(), "a": matrix.sparsity()},
-        {"error_on_fail": False, "piqp": {"eps_abs": 1e-9, "eps_rel": 1e-10}},
+        {"error_on_fail": False, "piqp": {"eps_abs": 1e-9, "eps_rel": 1e-10, "max_iter": MOST_ITERATIONS}},
     )
     solution = solver(
         h=hessian,

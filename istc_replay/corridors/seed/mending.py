@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from functools import partial
 from typing import TYPE_CHECKING
 
 import casadi
 import numpy as np
 
-from istc_replay.corridors.polish import polish
+from istc_replay.corridors.polish import MOST_ITERATIONS, polish_about, with_near_rows
 from istc_replay.corridors.problem import CONSTANT, Rows
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from istc_replay.corridors.problem import CorridorProblem, IntArray
+    from istc_replay.corridors.problem import CorridorProblem
     from istc_replay.datatypes import FloatArray
 
 _ROUNDS = 6
@@ -41,22 +42,21 @@ def mended(problem: CorridorProblem, z: FloatArray) -> Mended:
     missed_m: dict[int, float] = {}
     while choice.tobytes() not in tried and len(tried) < _ROUNDS:
         tried.add(choice.tobytes())
-        soft = _softened(problem, choice)
+        soft = with_near_rows(problem.separations.rows(choice), z, partial(_softened, problem))
         if soft is None:
             break
         slack = problem.separations.slack(soft)
         chosen = slack[np.arange(len(choice)), choice]
         missed = chosen < -_MISSED_M
         if not missed.any():
-            return Mended(polish(problem, choice))
+            return Mended(polish_about(problem, soft, choice))
         missed_m = {int(d): float(-chosen[d]) for d in np.flatnonzero(missed)}
         choice = np.where(missed, slack.argmax(axis=1), choice)
     return Mended(missed_m=missed_m)
 
 
-def _softened(problem: CorridorProblem, choice: IntArray) -> FloatArray | None:
-    """The optimum where separations may be missed at a price."""
-    chosen = problem.separations.rows(choice)
+def _softened(problem: CorridorProblem, chosen: Rows) -> FloatArray | None:
+    """The optimum where some rows may be missed at a price."""
     rows = Rows.join([problem.rows, chosen])
     place, entry = np.nonzero(rows.index != CONSTANT)
     column, weight = rows.index[place, entry], rows.weight[place, entry]
@@ -73,7 +73,7 @@ def _softened(problem: CorridorProblem, choice: IntArray) -> FloatArray | None:
         "softened",
         "piqp",
         {"h": hessian.sparsity(), "a": matrix.sparsity()},
-        {"error_on_fail": False, "piqp": {"eps_abs": 1e-6, "eps_rel": 1e-7}},
+        {"error_on_fail": False, "piqp": {"eps_abs": 1e-6, "eps_rel": 1e-7, "max_iter": MOST_ITERATIONS}},
     )
     linear = problem.linear - 2.0 * problem.quadratic * problem.reference
     solution = solver(
