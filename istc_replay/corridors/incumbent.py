@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from istc_replay.config import CorridorsConfig
     from istc_replay.corridors.groups import TreeOutcome
-    from istc_replay.corridors.problem import CorridorProblem
+    from istc_replay.corridors.problem import CorridorProblem, IntArray
     from istc_replay.datatypes import Conflict, Guidance
 
 #: Frames are written anew while that makes the objective better by this share.
@@ -108,11 +108,13 @@ def grow_tree(search: Search, config: CorridorsConfig, *, first_try: bool = Fals
 
 
 def fill(search: Search, z: FloatArray, config: CorridorsConfig, *, sized: bool) -> None:
-    """Stages B (where `sized`) and C: the largest cubes about z, then both moved together."""
+    """Stages B (where `sized`) and C: the options of the largest cubes about z, then both moved together."""
     problem = search.problem
-    grown = _size_cubes(search, z, config) if sized and len(problem.separations) else z
+    choice = problem.separations.best(z)
+    if sized and len(problem.separations):
+        choice = _size_cubes(search, z, config)
     began = time.perf_counter()
-    polished = polish_about(problem, grown)
+    polished = polish_about(problem, z, choice)
     search.offer(polished, "joint polish")
     search.record(
         "joint polish",
@@ -123,36 +125,30 @@ def fill(search: Search, z: FloatArray, config: CorridorsConfig, *, sized: bool)
     )
 
 
-def _size_cubes(search: Search, z: FloatArray, config: CorridorsConfig) -> FloatArray:
-    """Stage B: the largest cubes around fixed pivotal points, a small MILP."""
+def _size_cubes(search: Search, z: FloatArray, config: CorridorsConfig) -> IntArray:
+    """Stage B: the options (D,) of the largest cubes around fixed pivotal points, by a small MILP."""
     began = time.perf_counter()
-    problem = search.problem
-    sizes = build_size_milp(problem, z)
+    sizes = build_size_milp(search.problem, z)
     if sizes.model is None:
-        search.offer(sizes.grown, "cube sizes")
-        objective = problem.objective(sizes.grown)
-        search.record("cube sizes", "bounds", SolveStatus.OPTIMAL, began, objective=objective)
-        return sizes.grown
+        search.record("cube sizes", "bounds", SolveStatus.OPTIMAL, began, binaries=0)
+        return sizes.choice
     run = cbc.solve(
         sizes.model,
         gap=0.0,
         node_budget=config.milp_node_budget,
         emergency_stop_s=config.emergency_stop_s,
     )
-    sized = sizes.solution() if run.status in (SolveStatus.OPTIMAL, SolveStatus.FEASIBLE) else z
-    search.offer(sized, "cube sizes")
     search.record(
         "cube sizes",
         "cbc",
         run.status,
         began,
-        objective=problem.objective(sized),
         nodes=run.nodes,
         iterations=run.iterations,
         binaries=len(sizes.model.delta),
         detail=run.detail,
     )
-    return sized
+    return sizes.chosen() if run.status in (SolveStatus.OPTIMAL, SolveStatus.FEASIBLE) else sizes.choice
 
 
 def gives_way(search: Search) -> bool:

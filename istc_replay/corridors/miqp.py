@@ -20,7 +20,7 @@ from istc_replay.datatypes import FloatArray, read_only
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from istc_replay.corridors.problem import CorridorProblem, IntArray, Rows, Separations
+    from istc_replay.corridors.problem import BoolArray, CorridorProblem, IntArray, Rows, Separations
 
 #: Bounds of fixed pivotal points decide a separation only by more than this.
 _DECISIVE_M = 1e-6
@@ -101,27 +101,33 @@ def build_milp(problem: CorridorProblem, *, big_m: float | None = None) -> MilpM
 
 @dataclass(slots=True)
 class SizeModel:
-    """The cubes alone, around fixed pivotal points: walls that a separation leaves to choose.
+    """The cubes alone, around fixed pivotal points: where their sizes choose between options.
 
-    `walls` are their indices in z; all other walls are as far out as the rows allow. `model` is None
-    where nothing is left to choose.
+    `choice` (D,) has the option of every separation; those of `open` (numbers of separations, `left` the
+    same with what fixed points leave of them) are `model`'s to choose, which is None where there are none.
+    `grown` has all walls as far out as the rows allow.
     """
 
     grown: FloatArray
-    walls: IntArray
+    choice: IntArray
+    open: IntArray
+    left: Separations
     model: Any
 
-    def solution(self) -> FloatArray:
-        """All of z."""
-        z = np.array(self.grown)
-        z[self.walls] = [self.model.z[i].value for i in self.walls.tolist()]
-        return read_only(z)
+    def chosen(self) -> IntArray:
+        """The options (D,) that the model's solution meets best."""
+        z, choice = np.array(self.grown), np.array(self.choice)
+        for index, variable in self.model.z.items():
+            z[index] = variable.value
+        choice[self.open] = self.left.best(z)
+        return choice
 
 
 def build_size_milp(problem: CorridorProblem, z: FloatArray) -> SizeModel:
     """Write the problem with pivotal points fixed at z: bounds of walls, and the separations left.
 
-    Every row has at most one wall (our reading, not the printed rows).
+    Every row has at most one wall (our reading, not the printed rows). Most separations have one option
+    left then, or none that matters; the model holds those with several, and what shares walls with them.
     """
     lower, upper = np.array(problem.lower), np.array(problem.upper)
     pivots = problem.pivot_indices
@@ -136,18 +142,33 @@ def build_size_milp(problem: CorridorProblem, z: FloatArray) -> SizeModel:
     np.minimum.at(upper, wall, sides.max(axis=1))
     upper = np.maximum(lower, upper)  # they may cross by rounding
     grown = np.where(problem.linear > 0.0, lower, upper)
-    left, _ = problem.separations.undecided(lower, upper, _DECISIVE_M)
+    left, kept = problem.separations.undecided(lower, upper, _DECISIVE_M)
+    choice = problem.separations.best(grown)
+    choice[kept] = np.where(left.possible, left.slack(problem.least_cubes(z)), -np.inf).argmax(axis=1)
     used = np.where(left.possible[..., None], np.stack([left.larger, left.smaller], axis=-1), CONSTANT)
-    walls = np.unique(used[used != CONSTANT])
+    tied = _tied_to(left.possible.sum(axis=1) > 1, used.reshape(len(left), 8))
+    left, kept, walls = left.taken(tied), kept[tied], np.unique(used[tied])
     if not len(left):
-        return SizeModel(grown, walls, None)
+        return SizeModel(grown, choice, kept, left, None)
+    walls = walls[walls != CONSTANT]
     model = pyo.ConcreteModel("cube sizes")
     _add_variables(model, walls.tolist(), lower, upper)
     _add_separations(model, left, lower, upper, None)
     model.objective = pyo.Objective(
         expr=_linear([model.z[i] for i in walls.tolist()], problem.linear[walls].tolist()), doc="eq. (2)"
     )
-    return SizeModel(grown, walls, model)
+    return SizeModel(grown, choice, kept, left, model)
+
+
+def _tied_to(some: BoolArray, walls: IntArray) -> BoolArray:
+    """Which separations (D,) share walls (D, w) with some of them, or with others that do."""
+    tied = np.array(some)
+    while True:
+        ours = np.unique(walls[tied])
+        more = tied | (np.isin(walls, ours) & (walls != CONSTANT)).any(axis=1)
+        if np.array_equal(more, tied):
+            return tied
+        tied = more
 
 
 def _linear(variables: Sequence[Any], weights: Sequence[float]) -> Any:
