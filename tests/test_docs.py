@@ -138,3 +138,11 @@ def test_links_between_the_pages_lead_somewhere() -> None:
     for target in re.findall(r"\]\(([^)#]+)", README):
         if not target.startswith("http"):
             assert (ROOT / target).exists(), target
+
+
+def test_every_maker_of_tests_is_told() -> None:
+    told = DOCS["architecture.md"].partition("\n## Tests\n")[2]
+    made = {file.stem for file in (ROOT / "tests" / "support").glob("*.py")}
+    assert (
+        set(re.findall(r"`(\w+)`", "".join(re.findall(r"^\| (`.*?) \|", told, flags=re.MULTILINE)))) == made
+    )

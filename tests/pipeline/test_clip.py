@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Any
 
 import polars as pl
 import pytest
@@ -16,13 +15,14 @@ from istc_replay.ingest.records import Channel, Schema
 from istc_replay.pipeline.audit import audit_read
 from istc_replay.pipeline.clip import Around, Between, clip_log, is_standing, moment_ns
 
+from ..support.copies import contents, full_log, private_log
 from ..support.logs import T0_NS
 
 SAMPLE = Path(__file__).resolve().parents[2] / "sample_logs/intersection_turn_first.mcap"
 
 
 @pytest.fixture
-def source(full_log: Any, tmp_path: Path) -> Path:
+def source(tmp_path: Path) -> Path:
     """Sixty messages, 0.1 s apart."""
     path = tmp_path / "in.mcap"
     path.write_bytes(full_log())
@@ -34,7 +34,7 @@ def source(full_log: Any, tmp_path: Path) -> Path:
     [("1", "2", 10), ("1.05", None, 49), (None, "0.5", 5), (f"{T0_NS + 10**9}ns", "1.05", 1)],
 )
 def test_a_clip_is_the_span_byte_for_byte(
-    start: str | None, end: str | None, count: int, source: Path, contents: Any, tmp_path: Path
+    start: str | None, end: str | None, count: int, source: Path, tmp_path: Path
 ) -> None:
     out = tmp_path / "out.mcap"
     clip_log(source, out, Between(start, end), Config())
@@ -69,9 +69,7 @@ def test_a_log_is_walked_twice_only_where_moments_count_from_its_start(
     assert done.messages > 0
 
 
-def test_a_clip_around_a_moment_has_its_margin_on_both_sides(
-    source: Path, contents: Any, tmp_path: Path
-) -> None:
+def test_a_clip_around_a_moment_has_its_margin_on_both_sides(source: Path, tmp_path: Path) -> None:
     out = tmp_path / "out.mcap"
     clip_log(source, out, Around(0.25, moment="3"), Config())
     times = [m[1] - T0_NS for m in contents(out).messages if m[0][0] == "/chatter"]
@@ -157,9 +155,9 @@ def test_what_stands_is_known_by_its_topic_publisher_or_schema(
     assert is_standing(channel) is standing
 
 
-def test_private_records_are_left_out_and_told(private_log: bytes, tmp_path: Path) -> None:
+def test_private_records_are_left_out_and_told(tmp_path: Path) -> None:
     source = tmp_path / "private.mcap"
-    source.write_bytes(private_log)
+    source.write_bytes(private_log())
     copied = clip_log(source, tmp_path / "out.mcap", Between(f"{T0_NS + 1}ns", None), Config())
     assert (copied.messages, copied.attachments, copied.private) == (2, 3, 0)
     assert copied.notes[-1] == "private records (opcodes from 0x80) are not copied: 4"

@@ -13,11 +13,12 @@ from istc_replay.errors import UsageError
 from istc_replay.ingest.walk import open_log
 from istc_replay.pipeline.merge import merge_logs
 
+from ..support.copies import contents, full_log, private_log
 from ..support.logs import T0_NS
 
 
 @pytest.fixture
-def logs(full_log: Any, tmp_path: Path) -> list[Path]:
+def logs(tmp_path: Path) -> list[Path]:
     """Two logs of the same topics, the second half a second later."""
     paths = [tmp_path / "car_1.mcap", tmp_path / "car_2.mcap"]
     paths[0].write_bytes(full_log(text="a"))
@@ -25,9 +26,7 @@ def logs(full_log: Any, tmp_path: Path) -> list[Path]:
     return paths
 
 
-def test_merging_keeps_all_and_orders_by_time(
-    logs: list[Path], contents: Any, foreign_reader: Any, tmp_path: Path
-) -> None:
+def test_merging_keeps_all_and_orders_by_time(logs: list[Path], foreign_reader: Any, tmp_path: Path) -> None:
     out = tmp_path / "out.mcap"
     copied = merge_logs(logs, out)
     parts, merged = [contents(path) for path in logs], contents(out)
@@ -59,9 +58,7 @@ def open_log_chunks(path: Path) -> int:
     return log.chunk_count
 
 
-def test_channels_declared_alike_become_one_and_others_stay_apart(
-    logs: list[Path], full_log: Any, tmp_path: Path
-) -> None:
+def test_channels_declared_alike_become_one_and_others_stay_apart(logs: list[Path], tmp_path: Path) -> None:
     out = tmp_path / "out.mcap"
     copied = merge_logs(logs, out)
     # Two of /chatter, and one each of /tf_static, /plain and /silent.
@@ -74,7 +71,7 @@ def test_channels_declared_alike_become_one_and_others_stay_apart(
     assert copied.channels == 7
 
 
-def test_logs_of_the_same_topics_can_be_kept_apart(logs: list[Path], contents: Any, tmp_path: Path) -> None:
+def test_logs_of_the_same_topics_can_be_kept_apart(logs: list[Path], tmp_path: Path) -> None:
     out = tmp_path / "out.mcap"
     copied = merge_logs(logs, out, apart=True)
     topics = Counter(message[0][0] for message in contents(out).messages)
@@ -82,7 +79,7 @@ def test_logs_of_the_same_topics_can_be_kept_apart(logs: list[Path], contents: A
     assert not any("is in 2 logs" in note for note in copied.notes)
 
 
-def test_doubtful_inputs_are_told(logs: list[Path], full_log: Any, tmp_path: Path) -> None:
+def test_doubtful_inputs_are_told(logs: list[Path], tmp_path: Path) -> None:
     far, same, out = tmp_path / "far.mcap", tmp_path / "same.mcap", tmp_path / "out.mcap"
     far.write_bytes(full_log(first_ns=T0_NS * 2))
     same.write_bytes(logs[0].read_bytes())
@@ -113,9 +110,9 @@ def test_inputs_that_cannot_be_meant_are_refused(logs: list[Path]) -> None:
     assert logs[0].read_bytes() == before
 
 
-def test_private_records_are_left_out_and_told(private_log: bytes, logs: list[Path], tmp_path: Path) -> None:
+def test_private_records_are_left_out_and_told(logs: list[Path], tmp_path: Path) -> None:
     source = tmp_path / "private.mcap"
-    source.write_bytes(private_log)
+    source.write_bytes(private_log())
     copied = merge_logs([source, logs[0]], tmp_path / "out.mcap")
     assert (copied.messages, copied.private) == (65, 0)
     assert copied.notes[-1] == "private records (opcodes from 0x80) are not copied: 4"

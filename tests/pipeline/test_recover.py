@@ -14,11 +14,11 @@ from istc_replay.errors import LogError, UsageError
 from istc_replay.ingest.walk import open_log
 from istc_replay.pipeline.recover import recover_log
 
+from ..support.copies import contents, full_log, private_log
+
 
 @pytest.mark.parametrize("options", [{}, {"compression": CompressionType.ZSTD}, {"use_chunking": False}])
-def test_a_whole_log_is_copied_without_losing_a_byte(
-    options: dict[str, Any], full_log: Any, contents: Any, tmp_path: Path
-) -> None:
+def test_a_whole_log_is_copied_without_losing_a_byte(options: dict[str, Any], tmp_path: Path) -> None:
     source, out = tmp_path / "in.mcap", tmp_path / "out.mcap"
     source.write_bytes(full_log(**options))
     copied = recover_log(source, out)
@@ -31,7 +31,7 @@ def test_a_whole_log_is_copied_without_losing_a_byte(
     assert open_log(out).profile == "ros2"
 
 
-def test_the_statistics_and_indexes_say_what_is_there(full_log: Any, tmp_path: Path) -> None:
+def test_the_statistics_and_indexes_say_what_is_there(tmp_path: Path) -> None:
     source, out = tmp_path / "in.mcap", tmp_path / "out.mcap"
     source.write_bytes(full_log(use_statistics=False, repeat_channels=False))
     recover_log(source, out)
@@ -49,7 +49,7 @@ def test_the_statistics_and_indexes_say_what_is_there(full_log: Any, tmp_path: P
 
 @pytest.mark.parametrize("share", [0.3, 0.6, 0.95])
 def test_a_cut_log_becomes_whole_for_every_reader(
-    share: float, full_log: Any, foreign_reader: Callable[[Path], list[Any]], tmp_path: Path
+    share: float, foreign_reader: Callable[[Path], list[Any]], tmp_path: Path
 ) -> None:
     data = full_log(compression=CompressionType.ZSTD, chunk_size=300)
     source, out = tmp_path / "in.mcap", tmp_path / "out.mcap"
@@ -63,7 +63,7 @@ def test_a_cut_log_becomes_whole_for_every_reader(
     assert not copied.complete
 
 
-def test_a_damaged_chunk_is_left_out_and_told(full_log: Any, foreign_reader: Any, tmp_path: Path) -> None:
+def test_a_damaged_chunk_is_left_out_and_told(foreign_reader: Any, tmp_path: Path) -> None:
     data = bytearray(full_log())
     data[len(data) // 4] ^= 0x40
     source, out = tmp_path / "in.mcap", tmp_path / "out.mcap"
@@ -75,7 +75,7 @@ def test_a_damaged_chunk_is_left_out_and_told(full_log: Any, foreign_reader: Any
     assert open_log(out).complete
 
 
-def test_every_conformance_file_is_copied_whole(shared_logs: Path, contents: Any, tmp_path: Path) -> None:
+def test_every_conformance_file_is_copied_whole(shared_logs: Path, tmp_path: Path) -> None:
     out = tmp_path / "out.mcap"
     files = sorted((shared_logs / "conformance").rglob("*.mcap"))
     assert len(files) == 416
@@ -86,7 +86,7 @@ def test_every_conformance_file_is_copied_whole(shared_logs: Path, contents: Any
         assert (after.attachments, after.metadata) == (before.attachments, before.metadata), path.name
 
 
-def test_nothing_is_written_where_nothing_is_intact(tmp_path: Path, full_log: Any) -> None:
+def test_nothing_is_written_where_nothing_is_intact(tmp_path: Path) -> None:
     source, out = tmp_path / "in.mcap", tmp_path / "out.mcap"
     source.write_bytes(full_log()[:60])
     with pytest.raises(LogError, match="nothing in it is intact"):
@@ -97,7 +97,7 @@ def test_nothing_is_written_where_nothing_is_intact(tmp_path: Path, full_log: An
     assert [path.name for path in tmp_path.iterdir()] == ["in.mcap"]
 
 
-def test_the_input_is_never_the_output(tmp_path: Path, full_log: Any) -> None:
+def test_the_input_is_never_the_output(tmp_path: Path) -> None:
     source, link = tmp_path / "in.mcap", tmp_path / "link.mcap"
     source.write_bytes(full_log())
     link.symlink_to(source)
@@ -107,7 +107,7 @@ def test_the_input_is_never_the_output(tmp_path: Path, full_log: Any) -> None:
     assert source.read_bytes() == before
 
 
-def test_the_same_log_gives_the_same_bytes(tmp_path: Path, full_log: Any) -> None:
+def test_the_same_log_gives_the_same_bytes(tmp_path: Path) -> None:
     source = tmp_path / "in.mcap"
     source.write_bytes(full_log())
     first, second = tmp_path / "a.mcap", tmp_path / "b.mcap"
@@ -123,11 +123,9 @@ def private_records(path: Path) -> list[tuple[int, bytes]]:
     return found
 
 
-def test_private_records_and_schemas_of_no_channel_are_kept(
-    private_log: bytes, foreign_reader: Any, tmp_path: Path
-) -> None:
+def test_private_records_and_schemas_of_no_channel_are_kept(foreign_reader: Any, tmp_path: Path) -> None:
     source, out, again = tmp_path / "in.mcap", tmp_path / "out.mcap", tmp_path / "again.mcap"
-    source.write_bytes(private_log)
+    source.write_bytes(private_log())
     copied = recover_log(source, out)
     records = [(0x80, b"own0"), (0x81, b"own1"), (0x82, b"own2"), (0xFF, b"inner")]
     assert private_records(out) == private_records(source) == records
