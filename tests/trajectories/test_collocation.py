@@ -6,8 +6,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from istc_replay.bicycle import euler_step, simulate
 from istc_replay.trajectories.collocation import interval_end
+
+from ..support.integrators import euler_step, simulate
 
 WHEELBASE_M = 2.7
 #: From standing to fast and turning, at the limits of steering rate and jerk.

@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from istc_replay.bicycle import simulate
 from istc_replay.config import TrajectoriesConfig
 from istc_replay.geometry import box_corners, shift_along
 from istc_replay.trajectories.walls import Grid, base_margins, excess, raised, walls_at
 
+from ..support.integrators import simulate
 from ..support.participants import CAR
 
 GRID = Grid(units=2, per_unit=2, step_s=0.5)
