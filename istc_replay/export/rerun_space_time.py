@@ -24,11 +24,6 @@ from istc_replay.geometry import rotate
 
 FILL = rr.components.FillMode
 
-#: Vertical field of view of the eyes.
-FOV_RAD = 0.9
-_EYE_AZIMUTH_RAD, _EYE_ELEVATION_RAD = -1.05, 0.5
-#: Distance of the eye in radii of the scene, and the share of the tower's height that it looks at.
-_EYE_RADII, _EYE_HEIGHT = 0.62, 0.38
 _DASH_S = 0.25
 #: Foot of the ruler in shares of the ground's half sides.
 _RULER = (-1.0, -0.3)

@@ -67,10 +67,6 @@ WINDOWS_SCHEMA = pl.Schema(
 
 PROBLEMS_SCHEMA = pl.Schema({"log": pl.String(), "code": pl.String(), "detail": pl.String()})
 
-_TOTALS = (
-    *("windows", "windows_full", "log_s"),
-    *("vehicles_present", "vehicles_plannable", "vehicles_certified"),
-)
 _SEVERITIES = ("critical", "serious", "minor")
 _TEXT_CHARACTERS = 1000
 

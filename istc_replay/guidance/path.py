@@ -133,8 +133,3 @@ def standing_in_the_end(times_s: FloatArray, arc_m: FloatArray, deceleration_mps
     braked_m = deceleration_mps2 * (left_s[:-1] ** 2 - left_s[1:] ** 2) / 2.0
     steps = np.minimum(np.diff(arc_m), braked_m)
     return np.asarray(arc_m[0] + np.concatenate([[0.0], np.cumsum(steps)]))
-
-
-def heading_near(heading_rad: float, other_rad: float) -> float:
-    """Return the heading plus whole turns that lies nearest the other."""
-    return other_rad + float(wrap_angle(heading_rad - other_rad))

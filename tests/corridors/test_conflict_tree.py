@@ -85,6 +85,38 @@ def test_the_budget_holds_and_a_larger_one_is_never_worse(budget: int, crossing:
         assert cost(problem, large.z) <= cost(problem, small.z) * (1.0 + 1e-3)
 
 
+@pytest.mark.parametrize("seed", [2, 5, 9])
+def test_a_budget_that_does_not_suffice_proves_no_more_than_is_true(
+    seed: int, crossing: Callable[..., Any]
+) -> None:
+    problem = crossing(seed, vehicles=3, units=4).problem()
+    whole = search(problem, 4000)
+    assert whole.exhausted
+    assert whole.z is not None
+    least, spent = cost(problem, whole.z), 0
+    assert whole.bound == pytest.approx(least, rel=1e-3, abs=1e-9)
+    for budget in (1, 3, 8, 20, 50):
+        found = search(problem, budget)
+        assert found.bound <= least * (1.0 + 1e-3) + 1e-9
+        if found.exhausted:
+            assert found.z is not None
+            assert cost(problem, found.z) == pytest.approx(least, rel=1e-3)
+        spent += not found.exhausted
+    assert spent > 0  # else no budget was too small
+
+
+@pytest.mark.parametrize("seed", [2, 5, 9])
+def test_a_solution_keeps_every_gap_to_a_hundredth_of_a_millimetre(
+    seed: int, crossing: Callable[..., Any]
+) -> None:
+    problem = crossing(seed, vehicles=3, units=4).problem()
+    alone = problem.separations.slack(problem.least_cubes(np.array(problem.reference))).max(axis=1)
+    assert alone.min() < -0.1  # by their guidance alone they meet
+    found = search(problem, 4000)
+    assert found.z is not None
+    assert problem.separations.slack(found.z).max(axis=1).min() >= -1e-5
+
+
 def test_a_found_solution_has_no_conflict_among_obstacles(crossing: Callable[..., Any]) -> None:
     problem = crossing(3, vehicles=3, units=5, obstacle=True).problem()
     found = search(problem, 1500)

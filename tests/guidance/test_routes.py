@@ -23,7 +23,6 @@ from istc_replay.guidance.routes import Task, find_path, find_paths
 
 from ..support.participants import CAR
 
-DENSE = [f"dense_{count}{kind}" for count in (4, 6, 8) for kind in ("", "_obstacles", "_row")]
 FIELD = MapBounds(0.0, 50.0, 0.0, 38.0)
 LEAST_RADIUS_M = 2.7 / math.tan(0.6)
 SETTINGS = GuidanceConfig()

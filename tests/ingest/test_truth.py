@@ -31,7 +31,6 @@ MAPPING = "\n".join(
     """
     for vehicle in range(6)
 )
-REAR_AXLE = "[vehicles]\nlength_m = 4.0\n"
 
 
 #: File, what is read of it, the vehicles' names, and what it tells beside pose and time.

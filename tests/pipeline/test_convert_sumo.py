@@ -18,7 +18,6 @@ from istc_replay.ingest.log import read_log
 from istc_replay.pipeline.convert import Converted, convert_recording
 
 DATA = Path(__file__).resolve().parents[1] / "data"
-SAMPLES = Path(__file__).resolve().parents[2] / "sample_logs"
 Convert = Callable[..., tuple[Converted, pl.DataFrame]]
 
 

@@ -17,7 +17,6 @@ from istc_replay.pipeline.convert import Converted
 from istc_replay.pipeline.tables import export_tables
 from istc_replay.states import STATES_SCHEMA
 
-DATA = Path(__file__).resolve().parents[1] / "data"
 SAMPLES = Path(__file__).resolve().parents[2] / "sample_logs"
 Convert = Callable[..., tuple[Converted, pl.DataFrame]]
 

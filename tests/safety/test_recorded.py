@@ -8,13 +8,11 @@ import numpy as np
 import polars as pl
 import pytest
 import shapely
-from numpy.typing import NDArray
 
 from istc_replay.geometry import box_corners
 from istc_replay.safety.recorded import RecordedGap, least_recorded_gap, recorded_tracks
 from istc_replay.states import RESULT_STATES_SCHEMA, conform
 
-Array = NDArray[np.float64]
 NS = 1_000_000_000
 
 
