@@ -77,11 +77,13 @@ def synthetic_bytes(
     synthetic_summary: dict[str, Any],
 ) -> bytes:
     """The result.mcap of `synthetic_plan`."""
-    from istc_replay.export.result_mcap import result_bytes
+    from istc_replay.export.result_mcap import Contents, result_bytes
 
     log, plans = synthetic_plan
     provenance = {"istc-replay": "0.1.0", "input_sha256": log.sha256}
-    return result_bytes(log, plans, synthetic_certificates, synthetic_summary, CONFIG_TOML, provenance)
+    return result_bytes(
+        Contents(log, plans, synthetic_certificates, synthetic_summary, CONFIG_TOML, provenance)
+    )
 
 
 @pytest.fixture(scope="session")

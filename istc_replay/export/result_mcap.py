@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from typing import Any, BinaryIO, cast
 
 import polars as pl
@@ -36,28 +37,12 @@ from istc_replay.ingest.result import repeatable_summary
 _TOPIC_LIMIT = 2**16 - 1
 
 
-def write_result(
-    stream: BinaryIO | HashedFile,
-    log: Log,
-    plans: Sequence[WindowPlan],
-    certificates: Sequence[Certificate],
-    summary: Mapping[str, Any],
-    config_toml: str,
-    provenance: Mapping[str, str],
-    *,
-    findings: pl.DataFrame | None = None,
-    shown: bool = True,
-) -> None:
-    """Write a result as one MCAP file.
-
-    The bytes follow from the arguments and the installed versions alone: equal results are equal
-    byte for byte. Messages stand in order of time, then topic; log_time and publish_time are the
-    time of what a message tells. Wall-clock times are left out of solves and summary.
+@dataclass(frozen=True, slots=True, eq=False)
+class Contents:
+    """What the file of one result tells.
 
     Parameters
     ----------
-    stream : binary file
-        Where to.
     log : Log
         What was recorded; every state is written as it was read.
     plans : sequence of WindowPlan
@@ -74,6 +59,24 @@ def write_result(
         Those of the audit of what was recorded (FINDINGS_SCHEMA).
     shown : bool
         Whether to add the messages that Foxglove shows; none of the tables is made of them.
+    """
+
+    log: Log
+    plans: Sequence[WindowPlan]
+    certificates: Sequence[Certificate]
+    summary: Mapping[str, Any]
+    config_toml: str
+    provenance: Mapping[str, str]
+    findings: pl.DataFrame | None = None
+    shown: bool = True
+
+
+def write_result(stream: BinaryIO | HashedFile, contents: Contents) -> None:
+    """Write a result as one MCAP file.
+
+    The bytes follow from the contents and the installed versions alone: equal results are equal
+    byte for byte. Messages stand in order of time, then topic; log_time and publish_time are the
+    time of what a message tells. Wall-clock times are left out of solves and summary.
 
     Raises
     ------
@@ -81,36 +84,25 @@ def write_result(
         If the summary is not JSON, a certificate names a window that is not there, or there are
         more topics than an MCAP file can have.
     ConfigError
-        If config_toml is not a configuration.
+        If the configuration is none.
     """
-    config = parse_config(config_toml)
-    attached = _json(repeatable_summary(summary))
+    config = parse_config(contents.config_toml)
+    attached = _json(repeatable_summary(contents.summary))
     # What it asks of a file is to write, to tell and to flush.
     writer = Writer(cast(BinaryIO, stream), compression=CompressionType.ZSTD, enable_crcs=True)
     writer.start(profile="", library="istc-replay")
-    writer.add_metadata("istc.provenance", dict(sorted(provenance.items())))
-    start_ns = _write_messages(writer, _messages(log, plans, certificates, config, findings, shown=shown))
-    writer.add_attachment(start_ns, start_ns, "config.toml", "application/toml", config_toml.encode())
+    writer.add_metadata("istc.provenance", dict(sorted(contents.provenance.items())))
+    start_ns = _write_messages(writer, _messages(contents, config))
+    toml = contents.config_toml.encode()
+    writer.add_attachment(start_ns, start_ns, "config.toml", "application/toml", toml)
     writer.add_attachment(start_ns, start_ns, "summary.json", "application/json", attached)
     writer.finish()
 
 
-def result_bytes(
-    log: Log,
-    plans: Sequence[WindowPlan],
-    certificates: Sequence[Certificate],
-    summary: Mapping[str, Any],
-    config_toml: str,
-    provenance: Mapping[str, str],
-    *,
-    findings: pl.DataFrame | None = None,
-    shown: bool = True,
-) -> bytes:
-    """The bytes of a result's file; arguments and errors as of `write_result`."""
+def result_bytes(contents: Contents) -> bytes:
+    """The bytes of a result's file; errors as of `write_result`."""
     stream = io.BytesIO()
-    write_result(
-        stream, log, plans, certificates, summary, config_toml, provenance, findings=findings, shown=shown
-    )
+    write_result(stream, contents)
     return stream.getvalue()
 
 
@@ -128,16 +120,9 @@ def solve_times(plan: WindowPlan) -> list[dict[str, Any]]:
     ]
 
 
-def _messages(
-    log: Log,
-    plans: Sequence[WindowPlan],
-    certificates: Sequence[Certificate],
-    config: Config,
-    findings: pl.DataFrame | None,
-    *,
-    shown: bool,
-) -> Iterator[Stamped]:
+def _messages(contents: Contents, config: Config) -> Iterator[Stamped]:
     """All messages in their order in the file."""
+    log, plans, certificates = contents.log, contents.plans, contents.certificates
     windows = [plan.scenario.window for plan in plans]
     starts_ns = {window.index: window.start_ns for window in windows}
     for certificate in certificates:
@@ -150,11 +135,11 @@ def _messages(
         recorded_messages(log.states),
         in_order(planned),
         sorted(checks, key=place),
-        finding_messages(findings) if findings is not None else (),
+        finding_messages(contents.findings) if contents.findings is not None else (),
     ]
-    if shown:
+    if contents.shown:
         sources.append(foxglove_messages(log, plans, windows, config.vehicles))
-        sources.append(log_messages(plans, starts_ns, certificates, findings))
+        sources.append(log_messages(plans, starts_ns, certificates, contents.findings))
     return merged(*sources)
 
 

@@ -86,7 +86,7 @@ def assemble(
     ExportError
         If the file cannot be written whole.
     """
-    from istc_replay.export.result_mcap import solve_times, write_result
+    from istc_replay.export.result_mcap import Contents, solve_times, write_result
     from istc_replay.export.summary import audited, summarise, window_figures
     from istc_replay.windows import settled_config
 
@@ -111,8 +111,8 @@ def assemble(
         provenance["road_sha256"] = log.road_sha256
     findings = None if isinstance(audit, str) else audit.findings
     with timing.stage("result_mcap"), _target(file) as (stream, memory):
-        told = (Plans(outcomes), certificates, summary, toml, provenance)
-        write_result(stream, log, *told, findings=findings)
+        plans = Plans(outcomes)
+        write_result(stream, Contents(log, plans, certificates, summary, toml, provenance, findings))
     summary["solves"] = solves
     summary["stages"] = timing.seconds
     source = memory.getvalue() if file is None else file

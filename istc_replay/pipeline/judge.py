@@ -45,7 +45,7 @@ def _certified(
     import polars as pl
 
     from istc_replay.config import render_config
-    from istc_replay.export.result_mcap import result_bytes
+    from istc_replay.export.result_mcap import Contents, result_bytes
     from istc_replay.export.summary import summarise, window_figures
     from istc_replay.ingest.result import read_result
     from istc_replay.safety.against_plan import against_plan
@@ -56,7 +56,7 @@ def _certified(
     hoped = replace(plan, status=WindowStatus.CERTIFIED)
     plans = [hoped] if before is None else [before, hoped]
     summary = summarise(log, [window_figures(WindowOutcome(each)) for each in plans], {}, "")
-    written = result_bytes(log, plans, (), summary, render_config(config), {}, shown=False)
+    written = result_bytes(Contents(log, plans, (), summary, render_config(config), {}, shown=False))
     result = read_result(written)
     draft = replace(result, states=pl.concat([_recorded_rows(plan, part, result), result.states]))
     index = plan.scenario.window.index

@@ -20,7 +20,7 @@ from istc_replay.datatypes import (
     read_only,
 )
 from istc_replay.export import film, foxglove
-from istc_replay.export.result_mcap import result_bytes
+from istc_replay.export.result_mcap import Contents, result_bytes
 from istc_replay.states import STATES_SCHEMA
 
 from ..support.foxglove import Plan, S, made, visible, yaw
@@ -95,7 +95,7 @@ def test_utm_coordinates_keep_their_millimetres(synthetic_plan: Plan) -> None:
     log = log_of(
         synthetic_plan[0], recorded([0.0], x_m=[691_234.1234], y_m=[5_334_567.8901], heading_rad=[0.1])
     )
-    data = result_bytes(log, [], [], {}, "", {})
+    data = result_bytes(Contents(log, [], [], {}, "", {}))
     reader = make_reader(io.BytesIO(data), decoder_factories=[DecoderFactory()])
     ((_, _, _, tf),) = reader.iter_decoded_messages(topics=["/tf"])
     assert (tf.transforms[0].translation.x, tf.transforms[0].translation.y) == (691_234.1234, 5_334_567.8901)

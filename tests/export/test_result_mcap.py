@@ -26,7 +26,7 @@ from istc_replay.datatypes import Certificate, Log, StaticScene, Verdict, Window
 from istc_replay.errors import ConfigError, ExportError
 from istc_replay.export import result_mcap
 from istc_replay.export.placing import topic_name
-from istc_replay.export.result_mcap import result_bytes, solve_times
+from istc_replay.export.result_mcap import Contents, result_bytes, solve_times
 from istc_replay.states import STATES_SCHEMA
 
 Plan = tuple[Log, list[WindowPlan]]
@@ -139,15 +139,15 @@ def test_the_attached_summary_holds_no_wall_clock_time_and_no_folder(
     records = tuple(dataclasses.replace(record, wall_s=9.0) for record in plans[0].records)
     slow_plan = dataclasses.replace(plans[0], records=records, corridors=None)
     same_plan = dataclasses.replace(plans[0], corridors=None)
-    assert result_bytes(log, [slow_plan], [], slow, "", {}) == result_bytes(
-        log, [same_plan], [], synthetic_summary, "", {}
+    assert result_bytes(Contents(log, [slow_plan], [], slow, "", {})) == result_bytes(
+        Contents(log, [same_plan], [], synthetic_summary, "", {})
     )
 
 
 _AGAIN = """
 import hashlib, pickle, sys
-from istc_replay.export.result_mcap import result_bytes
-print(hashlib.sha256(result_bytes(*pickle.load(sys.stdin.buffer))).hexdigest())
+from istc_replay.export.result_mcap import Contents, result_bytes
+print(hashlib.sha256(result_bytes(Contents(*pickle.load(sys.stdin.buffer)))).hexdigest())
 """
 
 
@@ -155,7 +155,7 @@ def test_another_process_writes_the_same_bytes(
     synthetic_plan: Plan, synthetic_certificates: list[Certificate], synthetic_summary: dict[str, Any]
 ) -> None:
     arguments = (*synthetic_plan, synthetic_certificates, synthetic_summary, "", {"b": "2", "a": "1"})
-    digests = {hashlib.sha256(result_bytes(*arguments)).hexdigest()}
+    digests = {hashlib.sha256(result_bytes(Contents(*arguments))).hexdigest()}
     for seed in ("1", "2"):
         run = subprocess.run(
             [sys.executable, "-c", _AGAIN],
@@ -169,8 +169,8 @@ def test_another_process_writes_the_same_bytes(
 
 
 def test_the_order_of_provenance_does_not_matter(synthetic_plan: Plan) -> None:
-    one = result_bytes(*synthetic_plan, [], {}, "", {"a": "1", "b": "2"})
-    assert one == result_bytes(*synthetic_plan, [], {}, "", {"b": "2", "a": "1"})
+    one = result_bytes(Contents(*synthetic_plan, [], {}, "", {"a": "1", "b": "2"}))
+    assert one == result_bytes(Contents(*synthetic_plan, [], {}, "", {"b": "2", "a": "1"}))
 
 
 NASTY = (
@@ -192,7 +192,7 @@ def test_no_vehicle_id_escapes_its_topic_and_the_true_id_is_inside(synthetic_pla
     log, _ = synthetic_plan
     one = log.states.head(1)
     tables = [one.with_columns(vehicle_id=pl.lit(name, dtype=pl.String)) for name in NASTY]
-    data = result_bytes(dataclasses.replace(log, states=pl.concat(tables)), [], [], {}, "", {})
+    data = result_bytes(Contents(dataclasses.replace(log, states=pl.concat(tables)), [], [], {}, "", {}))
     topics = {topic: told for topic, told in written(data).items() if topic.startswith("/istc/recorded/")}
     assert len(topics) == len(NASTY)
     for topic, told in topics.items():
@@ -216,14 +216,14 @@ def test_a_cut_name_is_no_other_vehicles_name() -> None:
 
 
 def test_a_log_without_states_makes_a_result(synthetic_plan: Plan) -> None:
-    data = result_bytes(without_states(synthetic_plan[0]), [], [], {}, "", {})
+    data = result_bytes(Contents(without_states(synthetic_plan[0]), [], [], {}, "", {}))
     assert set(written(data)) == {"/istc/static"}
 
 
 def test_times_before_the_epoch_are_told_in_the_message(synthetic_plan: Plan) -> None:
     log = synthetic_plan[0]
     states = log.states.head(3).with_columns(time_ns=pl.Series([-5_000_000_000, -1, 7]))
-    data = result_bytes(dataclasses.replace(log, states=states), [], [], {}, "", {})
+    data = result_bytes(Contents(dataclasses.replace(log, states=states), [], [], {}, "", {}))
     told = written(data)["/istc/recorded/car%201"]
     assert [time for time, _ in told] == [0, 0, 7]
     assert [state.time_ns for _, state in told] == [-5_000_000_000, -1, 7]
@@ -232,18 +232,18 @@ def test_times_before_the_epoch_are_told_in_the_message(synthetic_plan: Plan) ->
 def test_a_certificate_of_no_window_is_refused(synthetic_plan: Plan) -> None:
     certificate = Certificate(4, "disjoint", Verdict.PASS, 1.0, "m")
     with pytest.raises(ExportError, match="window 4: there is no plan"):
-        result_bytes(*synthetic_plan, [certificate], {}, "", {})
+        result_bytes(Contents(*synthetic_plan, [certificate], {}, "", {}))
 
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf"), object()])
 def test_a_summary_that_is_not_json_is_refused(synthetic_plan: Plan, value: object) -> None:
     with pytest.raises(ExportError, match="cannot be written as JSON"):
-        result_bytes(*synthetic_plan, [], {"value": value}, "", {})
+        result_bytes(Contents(*synthetic_plan, [], {"value": value}, "", {}))
 
 
 def test_a_configuration_that_is_none_is_refused(synthetic_plan: Plan) -> None:
     with pytest.raises(ConfigError, match="unknown key"):
-        result_bytes(*synthetic_plan, [], {}, "[nowhere]\n", {})
+        result_bytes(Contents(*synthetic_plan, [], {}, "[nowhere]\n", {}))
 
 
 def test_more_topics_than_mcap_can_number_are_refused(
@@ -253,7 +253,7 @@ def test_more_topics_than_mcap_can_number_are_refused(
     with pytest.raises(
         ExportError, match="more than 5 topics, which is what an MCAP file can have: cut the log"
     ):
-        result_bytes(*synthetic_plan, [], {}, "", {})
+        result_bytes(Contents(*synthetic_plan, [], {}, "", {}))
 
 
 def test_solve_times_stand_in_the_order_of_the_solves(synthetic_bytes: bytes, synthetic_plan: Plan) -> None:

@@ -10,7 +10,7 @@ import polars as pl
 import pytest
 
 from istc_replay.errors import LogError, UsageError
-from istc_replay.export.result_mcap import result_bytes
+from istc_replay.export.result_mcap import Contents, result_bytes
 from istc_replay.ingest.finding_file import FoundSpan, read_finding
 from istc_replay.states import FINDINGS_SCHEMA, conform
 
@@ -52,7 +52,7 @@ def test_a_finding_is_found_in_every_form_of_an_audit(kind: str, synthetic_plan:
     else:
         summary = {"input": {"sha256": sha256}}
         log = synthetic_plan[0]
-        path.write_bytes(result_bytes(log, [], [], summary, "", {}, findings=FINDINGS))
+        path.write_bytes(result_bytes(Contents(log, [], [], summary, "", {}, findings=FINDINGS)))
     source = tmp_path if kind.endswith("folder") else path
     assert read_finding(source, "f1") == FoundSpan(("car 1", "car 2"), 10, 20, sha256)
     assert read_finding(source, "f2") == FoundSpan(("ü",), 30, 31, sha256)

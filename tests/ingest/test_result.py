@@ -33,7 +33,7 @@ from istc_replay.datatypes import (
     WindowStatus,
     read_only,
 )
-from istc_replay.export.result_mcap import result_bytes
+from istc_replay.export.result_mcap import Contents, result_bytes
 from istc_replay.ingest.result import read_result, repeatable_summary
 from istc_replay.states import (
     CERTIFICATES_SCHEMA,
@@ -59,7 +59,7 @@ def write(log: Log, plans: list[WindowPlan] | None = None, **changes: Any) -> by
         "provenance": {},
         **changes,
     }
-    return result_bytes(log, plans or [], **arguments)
+    return result_bytes(Contents(log, plans or [], **arguments))
 
 
 def recorded_of(states: pl.DataFrame) -> pl.DataFrame:

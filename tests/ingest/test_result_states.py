@@ -66,9 +66,9 @@ def test_the_states_of_some_windows_are_those_within_them(
 
 
 def test_a_result_without_windows_is_one_part(synthetic_plan: tuple) -> None:  # type: ignore[type-arg]
-    from istc_replay.export.result_mcap import result_bytes
+    from istc_replay.export.result_mcap import Contents, result_bytes
 
-    data = result_bytes(synthetic_plan[0], [], [], {"windows": []}, "", {})
+    data = result_bytes(Contents(synthetic_plan[0], [], [], {"windows": []}, "", {}))
     (part,) = result_parts(data, read_result(data, states=False), 16)
     assert_frame_equal(part.states, read_result(data).states)
 

@@ -44,7 +44,7 @@ def repeated_bytes(
     log: Log, plan: WindowPlan, certificates: list[Certificate], summary: dict[str, Any], times: int
 ) -> bytes:
     """The result.mcap of a log and its one window's plan, several times in a row."""
-    from istc_replay.export.result_mcap import result_bytes
+    from istc_replay.export.result_mcap import Contents, result_bytes
 
     window, (entry,) = plan.scenario.window, summary["windows"]
     span_ns = window.end_ns - window.start_ns
@@ -59,7 +59,7 @@ def repeated_bytes(
         own = log.states.filter(pl.col("time_ns") < window.end_ns) if k < times - 1 else log.states
         tables.append(own.with_columns(pl.col("time_ns") + k * span_ns))
     long = replace(log, states=pl.concat(tables).sort("vehicle_id", "time_ns"))
-    return result_bytes(long, plans, checks, summary | {"windows": windows}, CONFIG_TOML, {})
+    return result_bytes(Contents(long, plans, checks, summary | {"windows": windows}, CONFIG_TOML, {}))
 
 
 def one_message(topic: str, kind: str, data: bytes) -> bytes:
