@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from istc_replay.corridors import cbc, groups, neighbourhoods
-from istc_replay.corridors.miqp import build_size_milp
+from istc_replay.corridors.cube_sizes import size_problem
 from istc_replay.corridors.polish import polish_about
 from istc_replay.corridors.relinearise import frames_about, with_references
 from istc_replay.datatypes import FloatArray, SolveRecord, SolveStatus
@@ -126,18 +126,19 @@ def fill(search: Search, z: FloatArray, config: CorridorsConfig, *, sized: bool)
 
 
 def _size_cubes(search: Search, z: FloatArray, config: CorridorsConfig) -> IntArray:
-    """Stage B: the options (D,) of the largest cubes around fixed pivotal points, by a small MILP."""
+    """Stage B: the options (D,) of the largest cubes around fixed pivotal points, by small LPs or a MILP."""
     began = time.perf_counter()
-    sizes = build_size_milp(search.problem, z)
-    if sizes.model is None:
-        search.record("cube sizes", "bounds", SolveStatus.OPTIMAL, began, binaries=0)
+    sizes = size_problem(search.problem, z)
+    sizes.settle_small()
+    if not len(sizes.open):
+        search.record("cube sizes", "daqp", SolveStatus.OPTIMAL, began)
         return sizes.choice
+    model = sizes.milp()
     run = cbc.solve(
-        sizes.model,
-        gap=0.0,
-        node_budget=config.milp_node_budget,
-        emergency_stop_s=config.emergency_stop_s,
+        model, gap=0.0, node_budget=config.milp_node_budget, emergency_stop_s=config.emergency_stop_s
     )
+    if run.status in (SolveStatus.OPTIMAL, SolveStatus.FEASIBLE):
+        sizes.settle(model)
     search.record(
         "cube sizes",
         "cbc",
@@ -145,10 +146,10 @@ def _size_cubes(search: Search, z: FloatArray, config: CorridorsConfig) -> IntAr
         began,
         nodes=run.nodes,
         iterations=run.iterations,
-        binaries=len(sizes.model.delta),
+        binaries=len(model.delta),
         detail=run.detail,
     )
-    return sizes.chosen() if run.status in (SolveStatus.OPTIMAL, SolveStatus.FEASIBLE) else sizes.choice
+    return sizes.choice
 
 
 def gives_way(search: Search) -> bool:

@@ -20,10 +20,7 @@ from istc_replay.datatypes import FloatArray, read_only
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-    from istc_replay.corridors.problem import BoolArray, CorridorProblem, IntArray, Rows, Separations
-
-#: Bounds of fixed pivotal points decide a separation only by more than this.
-_DECISIVE_M = 1e-6
+    from istc_replay.corridors.problem import CorridorProblem, Rows, Separations
 
 
 @dataclass(slots=True)
@@ -62,7 +59,7 @@ class MilpModel:
     def _add_tangent(self, index: int, offset: float) -> None:
         # (z - r)^2 >= 2 c (z - r) - c^2
         model, reference = self.model, float(self.problem.reference[index])
-        expression = _linear([model.square[index], model.z[index]], [1.0, -2.0 * offset])
+        expression = linear_sum([model.square[index], model.z[index]], [1.0, -2.0 * offset])
         model.tangents.add(expression >= -2.0 * offset * reference - offset**2)
         self.tangents.append((index, offset))
 
@@ -82,15 +79,15 @@ def build_milp(problem: CorridorProblem, *, big_m: float | None = None) -> MilpM
         One M for all rows, as printed; otherwise the least that the bounds allow, row by row.
     """
     model = pyo.ConcreteModel("interactive spatio-temporal corridors")
-    _add_variables(model, range(problem.size), problem.lower, problem.upper)
+    add_variables(model, range(problem.size), problem.lower, problem.upper)
     quadratic = np.flatnonzero(problem.quadratic)
     model.square = pyo.Var(quadratic.tolist(), within=pyo.NonNegativeReals, doc="squares of eq. (3)")
     _add_rows(model, problem.rows)
-    _add_separations(model, problem.separations, problem.lower, problem.upper, big_m)
+    add_separations(model, problem.separations, problem.lower, problem.upper, big_m)
     model.tangents = pyo.ConstraintList(doc="outer approximation of the squares of eq. (3)")
     linear = np.flatnonzero(problem.linear)
     model.objective = pyo.Objective(
-        expr=_linear(
+        expr=linear_sum(
             [model.z[i] for i in linear.tolist()] + [model.square[i] for i in quadratic.tolist()],
             [*problem.linear[linear].tolist(), *problem.quadratic[quadratic].tolist()],
         ),
@@ -99,83 +96,11 @@ def build_milp(problem: CorridorProblem, *, big_m: float | None = None) -> MilpM
     return MilpModel(problem, problem.separations, model)
 
 
-@dataclass(slots=True)
-class SizeModel:
-    """The cubes alone, around fixed pivotal points: where their sizes choose between options.
-
-    `choice` (D,) has the option of every separation; those of `open` (numbers of separations, `left` the
-    same with what fixed points leave of them) are `model`'s to choose, which is None where there are none.
-    `grown` has all walls as far out as the rows allow.
-    """
-
-    grown: FloatArray
-    choice: IntArray
-    open: IntArray
-    left: Separations
-    model: Any
-
-    def chosen(self) -> IntArray:
-        """The options (D,) that the model's solution meets best."""
-        z, choice = np.array(self.grown), np.array(self.choice)
-        for index, variable in self.model.z.items():
-            z[index] = variable.value
-        choice[self.open] = self.left.best(z)
-        return choice
-
-
-def build_size_milp(problem: CorridorProblem, z: FloatArray) -> SizeModel:
-    """Write the problem with pivotal points fixed at z: bounds of walls, and the separations left.
-
-    Every row has at most one wall (our reading, not the printed rows). Most separations have one option
-    left then, or none that matters; the model holds those with several, and what shares walls with them.
-    """
-    lower, upper = np.array(problem.lower), np.array(problem.upper)
-    pivots = problem.pivot_indices
-    lower[pivots] = upper[pivots] = z[pivots]
-    rows = problem.rows
-    is_wall = np.append(problem.quadratic == 0.0, False)[rows.index]
-    which, entry = np.nonzero(is_wall)
-    wall, weight = rows.index[which, entry], rows.weight[which, entry]
-    rest = rows.value(np.where(problem.quadratic > 0.0, z, 0.0))[which]
-    sides = np.stack([rows.lower[which] - rest, rows.upper[which] - rest], axis=-1) / weight[:, None]
-    np.maximum.at(lower, wall, sides.min(axis=1))
-    np.minimum.at(upper, wall, sides.max(axis=1))
-    upper = np.maximum(lower, upper)  # they may cross by rounding
-    grown = np.where(problem.linear > 0.0, lower, upper)
-    left, kept = problem.separations.undecided(lower, upper, _DECISIVE_M)
-    choice = problem.separations.best(grown)
-    choice[kept] = np.where(left.possible, left.slack(problem.least_cubes(z)), -np.inf).argmax(axis=1)
-    used = np.where(left.possible[..., None], np.stack([left.larger, left.smaller], axis=-1), CONSTANT)
-    tied = _tied_to(left.possible.sum(axis=1) > 1, used.reshape(len(left), 8))
-    left, kept, walls = left.taken(tied), kept[tied], np.unique(used[tied])
-    if not len(left):
-        return SizeModel(grown, choice, kept, left, None)
-    walls = walls[walls != CONSTANT]
-    model = pyo.ConcreteModel("cube sizes")
-    _add_variables(model, walls.tolist(), lower, upper)
-    _add_separations(model, left, lower, upper, None)
-    model.objective = pyo.Objective(
-        expr=_linear([model.z[i] for i in walls.tolist()], problem.linear[walls].tolist()), doc="eq. (2)"
-    )
-    return SizeModel(grown, choice, kept, left, model)
-
-
-def _tied_to(some: BoolArray, walls: IntArray) -> BoolArray:
-    """Which separations (D,) share walls (D, w) with some of them, or with others that do."""
-    tied = np.array(some)
-    while True:
-        ours = np.unique(walls[tied])
-        more = tied | (np.isin(walls, ours) & (walls != CONSTANT)).any(axis=1)
-        if np.array_equal(more, tied):
-            return tied
-        tied = more
-
-
-def _linear(variables: Sequence[Any], weights: Sequence[float]) -> Any:
+def linear_sum(variables: Sequence[Any], weights: Sequence[float]) -> Any:
     return LinearExpression(constant=0, linear_coefs=list(weights), linear_vars=list(variables))
 
 
-def _add_variables(model: Any, indices: Sequence[int], lower: FloatArray, upper: FloatArray) -> None:
+def add_variables(model: Any, indices: Sequence[int], lower: FloatArray, upper: FloatArray) -> None:
     model.z = pyo.Var(indices, bounds=lambda _, i: (float(lower[i]), float(upper[i])), doc="eq. (1)")
 
 
@@ -191,13 +116,13 @@ def _add_rows(model: Any, rows: Rows) -> None:
             lists[equation] = pyo.ConstraintList(doc=equation)
             model.rows.add_component(name, lists[equation])
         terms = [(variables[i], w) for i, w in zip(index, weight, strict=True) if w != 0.0]
-        expression = _linear([v for v, _ in terms], [w for _, w in terms])
+        expression = linear_sum([v for v, _ in terms], [w for _, w in terms])
         lists[equation].add(
             (None if lower == -np.inf else lower, expression, None if upper == np.inf else upper)
         )
 
 
-def _add_separations(
+def add_separations(
     model: Any, separations: Separations, lower: FloatArray, upper: FloatArray, big_m: float | None
 ) -> None:
     possible = separations.possible
@@ -211,11 +136,11 @@ def _add_separations(
         larger, smaller = int(separations.larger[d, o]), int(separations.smaller[d, o])
         sides = [(model.z[i], w) for i, w in ((larger, 1.0), (smaller, -1.0)) if i != CONSTANT]
         m = big_m if big_m is not None else max(float(slack[d, o]), 0.0)
-        expression = _linear([*(v for v, _ in sides), model.delta[d, o]], [*(w for _, w in sides), m])
+        expression = linear_sum([*(v for v, _ in sides), model.delta[d, o]], [*(w for _, w in sides), m])
         model.separations.add(expression >= float(separations.gap[d, o]))
     for d in range(len(separations)):
         deltas = [model.delta[d, int(o)] for o in np.flatnonzero(possible[d])]
-        open_options = _linear(deltas, [1.0] * len(deltas))
+        open_options = linear_sum(deltas, [1.0] * len(deltas))
         if big_m is None:
             model.choices.add(open_options == len(deltas) - 1)  # sum (1 - delta) = 1
         else:

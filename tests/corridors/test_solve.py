@@ -139,6 +139,7 @@ def test_a_solver_that_dies_or_hangs_leaves_what_was_found_before(
 ) -> None:
     fake_cbc(script)
     monkeypatch.setattr("istc_replay.corridors.cbc._START_S", 0.2)
+    monkeypatch.setattr("istc_replay.corridors.cube_sizes._TRIED", 0)  # as where there is more to choose
     solved = intersection("intersection_turn_first").solved(mode=mode, emergency_stop_s=0.05, **NO_TREE)
     assert solved.status is SolveStatus.FEASIBLE
     assert len(solved.corridors) == 3
