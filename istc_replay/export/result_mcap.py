@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import json
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, BinaryIO, cast
@@ -31,6 +30,7 @@ from istc_replay.export.foxglove import foxglove_messages
 from istc_replay.export.foxglove_log import log_messages
 from istc_replay.export.hashed import HashedFile
 from istc_replay.export.placing import first_ns
+from istc_replay.export.summary import summary_text
 from istc_replay.ingest.result import repeatable_summary
 
 #: MCAP numbers channels with 16 bits; 0 is none.
@@ -173,13 +173,10 @@ def _schema(kind: Any) -> bytes:
     return bytes(build_file_descriptor_set(kind).SerializeToString(deterministic=True))
 
 
-def _json(values: Any) -> bytes:
-    text = io.StringIO()
+def _json(summary: Mapping[str, Any]) -> bytes:
     try:
-        # json.dumps would hold every word of it apart.
-        json.dump(values, text, indent=1, allow_nan=False)
+        return b"".join(piece.encode() for piece in summary_text(summary))
     except (TypeError, ValueError) as error:
         raise ExportError(
             f"the summary cannot be written as JSON: {error}; give plain finite values"
         ) from None
-    return text.getvalue().encode()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import math
 from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
@@ -18,7 +19,7 @@ from istc_replay.safety.rules import worst_first
 from istc_replay.units import NS_PER_S
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from istc_replay.datatypes import (
         Certificate,
@@ -69,6 +70,28 @@ def summarise(
         "totals": _totals(log, windows),
         "audit": None,
     }
+
+
+def summary_text(summary: Mapping[str, Any]) -> Iterator[str]:
+    """A summary as JSON, piece by piece: of what there are many, such as windows and solves, one a line.
+
+    Raises
+    ------
+    TypeError, ValueError
+        If it holds what is no plain finite value.
+    """
+    before = "{\n"
+    for key, value in summary.items():
+        yield f"{before} {json.dumps(key)}: "
+        before = ",\n"
+        if isinstance(value, list) and value and all(isinstance(item, dict) for item in value):
+            for number, item in enumerate(value):
+                line = json.dumps(item, allow_nan=False, separators=(",", ":"))
+                yield f",\n{line}" if number else f"[\n{line}"
+            yield "\n ]"
+        else:
+            yield json.dumps(value, indent=1, allow_nan=False).replace("\n", "\n ")
+    yield "{}\n" if before == "{\n" else "\n}\n"
 
 
 def audited(audit: Audit | str) -> dict[str, Any]:

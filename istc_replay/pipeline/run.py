@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -100,9 +99,10 @@ def write_run(
             from istc_replay.export.report import report_html
 
             file.write_text(report_html(found.result, title, found.states), encoding="utf-8")
+    from istc_replay.export.summary import summary_text
+
     with atomic_file(folder / "summary.json") as file, file.open("w", encoding="utf-8") as text:
-        json.dump(done.summary, text, indent=1, allow_nan=False)
-        text.write("\n")
+        text.writelines(summary_text(done.summary))
 
 
 def result_folders(paths: Sequence[Path], output: Path) -> dict[Path, Path]:
