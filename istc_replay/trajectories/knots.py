@@ -171,6 +171,7 @@ _PROGRAMME: dict[str, Any] = {
         "eps_duality_gap_abs": 1e-2,
         "eps_duality_gap_rel": 1e-2,
         "max_iter": 40,
+        "preconditioner_iter": 2,
     },
 }
 #: From near a solution the barrier is where it ends from the start.
