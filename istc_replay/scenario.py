@@ -14,7 +14,6 @@ from istc_replay.datatypes import (
     FloatArray,
     Frame,
     LateralBound,
-    Log,
     MapBounds,
     Obstacle,
     Participant,
@@ -41,11 +40,10 @@ from istc_replay.windows import (
     first_unit_s,
     fitting_unit_s,
     in_steps,
-    log_parts,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Iterable, Mapping
 
     from istc_replay.config import Config, VehiclesConfig
 
@@ -55,18 +53,6 @@ AS_RECORDED = ("not_a_vehicle", "uncooperative")
 _WAY_SHARE, _WAY_MORE_M = 2.0, 50.0
 #: Length and width of a road user that is no vehicle and of unknown size [m].
 _SMALL_M = 1.0
-
-
-def build_scenarios(log: Log, config: Config) -> Iterator[Scenario]:
-    """Cut a log into windows and build the scenario of each.
-
-    Raises
-    ------
-    ScenarioError
-        If the log has no vehicle, or is shorter than one time unit.
-    """
-    for part in log_parts(log, config):
-        yield build_scenario(part, config)
 
 
 def build_scenario(

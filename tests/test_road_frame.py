@@ -7,9 +7,8 @@ import pytest
 
 from istc_replay.config import Config
 from istc_replay.road_frame import Body, conflicts, heading_slack, road_yaw
-from istc_replay.scenario import build_scenarios
 
-from .support.planning import FAST
+from .support.planning import FAST, scenarios
 from .support.tracks import BUSY, driver, log_of, turned
 
 
@@ -17,7 +16,7 @@ def test_the_time_unit_is_long_only_where_the_recording_has_no_conflict_at_it() 
     def unit_s(ahead_m: float, config: Config = FAST, lane_m: float = 0.0) -> float:
         """The time unit of two cars, 4.5 m long, at 12 m/s."""
         log = log_of(driver("1"), driver("2", lane_m, ahead_m))
-        return next(iter(build_scenarios(log, config))).window.unit_s
+        return scenarios(log, config)[0].window.unit_s
 
     assert unit_s(0.0, lane_m=8.0) == 1.0
     assert unit_s(11.5) == 0.5  # 7 m between the bumpers, 6 m of way in half a second
@@ -28,14 +27,9 @@ def test_the_time_unit_is_long_only_where_the_recording_has_no_conflict_at_it() 
 
 def test_the_frame_turns_to_the_road() -> None:
     log = turned(BUSY, np.radians(41.0), (0.0, 0.0))
-    yaw = next(iter(build_scenarios(log, Config()))).window.frame.yaw_rad
+    yaw = scenarios(log, Config())[0].window.frame.yaw_rad
     assert np.degrees(yaw) % 90.0 == pytest.approx(41.0, abs=1.1)
-    assert (
-        next(
-            iter(build_scenarios(log, Config.model_validate({"window": {"frame": "map"}})))
-        ).window.frame.yaw_rad
-        == 0.0
-    )
+    assert scenarios(log, Config.model_validate({"window": {"frame": "map"}}))[0].window.frame.yaw_rad == 0.0
 
 
 def test_cars_side_by_side_at_an_angle_conflict_only_in_the_maps_frame() -> None:

@@ -21,8 +21,8 @@ from istc_replay.datatypes import (
     read_only,
 )
 from istc_replay.errors import ScenarioError
-from istc_replay.scenario import build_scenarios
 
+from .support.planning import scenarios
 from .support.tracks import log_of, track
 
 
@@ -38,9 +38,8 @@ def car(
 
 def only(log: Log, **sections: Any) -> Any:
     """The one scenario of a log."""
-    scenarios = list(build_scenarios(log, Config(**sections)))
-    assert len(scenarios) == 1
-    return scenarios[0]
+    (scenario,) = scenarios(log, Config(**sections))
+    return scenario
 
 
 def test_a_short_log_is_one_window_of_whole_units() -> None:
@@ -53,9 +52,9 @@ def test_a_short_log_is_one_window_of_whole_units() -> None:
 
 
 def test_a_long_log_is_cut_into_windows() -> None:
-    scenarios = list(build_scenarios(log_of(car("1", 0.0, 30.0)), Config()))
-    assert [s.window.start_ns // 10**9 for s in scenarios] == [0, 8, 16, 24]
-    assert [s.window.units for s in scenarios] == [8, 8, 8, 6]
+    windows = [s.window for s in scenarios(log_of(car("1", 0.0, 30.0)), Config())]
+    assert [window.start_ns // 10**9 for window in windows] == [0, 8, 16, 24]
+    assert [window.units for window in windows] == [8, 8, 8, 6]
 
 
 def test_start_states_are_interpolated_from_the_recording() -> None:
@@ -172,6 +171,6 @@ def test_vehicle_ids_sort_as_people_count() -> None:
 
 def test_a_log_without_vehicles_and_one_too_short_are_errors() -> None:
     with pytest.raises(ScenarioError, match="no vehicle states"):
-        list(build_scenarios(log_of(), Config()))
+        scenarios(log_of(), Config())
     with pytest.raises(ScenarioError, match="less than one time unit"):
-        list(build_scenarios(log_of(car("1", 0.0, 0.5)), Config()))
+        scenarios(log_of(car("1", 0.0, 0.5)), Config())

@@ -11,16 +11,16 @@ import pytest
 from istc_replay.config import Config, parse_config, render_config
 from istc_replay.datatypes import LaneLine, MapBounds, SceneObstacle, StaticScene, VehicleInfo, read_only
 from istc_replay.ingest.log import read_log
-from istc_replay.scenario import build_scenarios
 from istc_replay.windows import is_traffic, settled_config
 
+from .support.planning import scenarios
 from .support.tracks import driver, log_of
 
 
 def test_a_slow_log_is_a_scene_and_a_fast_one_traffic() -> None:
     slow, fast = log_of(driver("1", speed_mps=5.0)), log_of(driver("1"))
-    assert [next(iter(build_scenarios(log, Config()))).traffic for log in (slow, fast)] == [False, True]
-    by_name = next(iter(build_scenarios(fast, Config.model_validate({"window": {"rules": "scene"}}))))
+    assert [scenarios(log, Config())[0].traffic for log in (slow, fast)] == [False, True]
+    by_name = scenarios(fast, Config.model_validate({"window": {"rules": "scene"}}))[0]
     assert (by_name.traffic, by_name.window.unit_s) == (False, 1.0)
 
 
@@ -29,7 +29,7 @@ def test_standing_obstacles_make_no_scene_of_fast_traffic_and_are_planned_around
     poles = tuple(SceneObstacle(f"pole {n}", 8.0 * n, 4.0, 0.0, 0.3, 0.3) for n in range(standing))
     log = log_of(driver("1"), driver("2", ahead_m=20.0), scene=StaticScene(obstacles=poles))
     assert is_traffic(log, Config().window)
-    (scenario,) = build_scenarios(log, Config())
+    (scenario,) = scenarios(log, Config())
     assert (scenario.traffic, len(scenario.participants)) == (True, 2)
     assert {o.obstacle_id for o in scenario.obstacles} == {pole.obstacle_id for pole in poles}
     slow = replace(log, states=log.states.with_columns(speed_mps=pl.lit(5.0)))

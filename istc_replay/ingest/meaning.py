@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -123,7 +123,6 @@ class Meaning:
     roles: Roles | None = None
     zero_is_unset: tuple[str, ...] = ()
     places: Callable[[Floats, Floats, NDArray[np.bool_]], tuple[Floats, Floats]] | None = None
-    reads: set[str] = field(default_factory=set)
 
     def states(self, decoded: Decoded, topic_of: Callable[[Ints], str]) -> States:
         """Make states of decoded columns; `topic_of` names the topic of a row, for problems."""

@@ -98,11 +98,6 @@ SAMPLES |= {
 }
 
 
-def sample_names() -> dict[str, str]:
-    """Return every sample's name with a line that says what it shows."""
-    return {name: sample.description for name, sample in SAMPLES.items()}
-
-
 def find_sample(name: str) -> Sample:
     """Return the sample of this name.
 

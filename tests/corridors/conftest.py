@@ -27,9 +27,9 @@ from istc_replay.datatypes import (
 )
 from istc_replay.guidance.build import build_guidance
 from istc_replay.samples.scenes import find_sample
-from istc_replay.scenario import build_scenarios
 
 from ..support.participants import straight_on
+from ..support.planning import scenarios
 from ..support.tracks import log_of
 
 
@@ -100,7 +100,7 @@ def intersection() -> Callable[[str], Case]:
         states = recorded.states.with_columns(stamps).sort("vehicle_id", "time_ns")
         log = log_of(states, scene=recorded.scene)
         config = Config()
-        scenario = next(iter(build_scenarios(log, config)))
+        scenario = scenarios(log, config)[0]
         return Case(scenario, build_guidance(scenario, config.guidance), config.corridors)
 
     return make

@@ -19,7 +19,7 @@ from istc_replay.errors import ScenarioError, UsageError
 from istc_replay.geometry import box_corners
 from istc_replay.samples.drive import RecordedScene
 from istc_replay.samples.sceneform import parse_scene
-from istc_replay.samples.scenes import SAMPLES, find_sample, packaged_scene, record, sample_names
+from istc_replay.samples.scenes import SAMPLES, find_sample, packaged_scene, record
 from istc_replay.states import STATES_SCHEMA
 
 NAMES = ("intersection_turn_first", "dense_4")
@@ -205,7 +205,7 @@ def test_a_short_way_is_driven_slowly_enough_to_stop() -> None:
 
 
 def test_every_sample_has_a_name_and_a_line() -> None:
-    names = sample_names()
+    names = {name: sample.description for name, sample in SAMPLES.items()}
     dense = {f"dense_{count}{kind}" for count in (4, 6, 8) for kind in ("", "_obstacles", "_row")}
     assert set(names) == dense | {
         "dense_12",

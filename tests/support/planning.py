@@ -8,9 +8,10 @@ import numpy as np
 
 from istc_replay.config import Config
 from istc_replay.coordinate import Planners, plan_part
-from istc_replay.datatypes import Log, WindowPlan
+from istc_replay.datatypes import Log, Scenario, WindowPlan
 from istc_replay.pipeline.assembly import Replay
 from istc_replay.pipeline.replay import replay_read
+from istc_replay.scenario import build_scenario
 from istc_replay.windows import LogPart, log_parts, settled_config
 
 FAST = Config.model_validate({"corridors": {"mode": "fast"}})
@@ -19,6 +20,11 @@ FAST = Config.model_validate({"corridors": {"mode": "fast"}})
 def first_part(log: Log, config: Config) -> LogPart:
     """The part of the log's first window."""
     return next(log_parts(log, config))
+
+
+def scenarios(log: Log, config: Config) -> list[Scenario]:
+    """The scenario of each window of the log."""
+    return [build_scenario(part, config) for part in log_parts(log, config)]
 
 
 def planned(log: Log, config: Config = FAST) -> WindowPlan:
