@@ -84,6 +84,25 @@ def overlap_text(own: Participant, other: Participant, at_start_m: float) -> str
     return f"{at_start_m:.2f} m within {other.vehicle_id} where drivable motions near both recordings start"
 
 
+def driven_through(participant: Participant, scenario: Scenario) -> str:
+    """What cannot be of a recording: a goal, or else a path, within a standing obstacle; else empty."""
+    poses, size = participant.recording.poses, participant.dimensions
+    own = box_corners(poses[:, 0], poses[:, 1], poses[:, 2], size.length_m, size.width_m)
+    path = ""
+    for obstacle in scenario.obstacles:
+        if obstacle.outline_m is None:
+            continue
+        side = obstacle.outline_m[1] - obstacle.outline_m[0]
+        heading = np.full(len(poses), np.arctan2(side[1], side[0]))
+        outline = np.broadcast_to(obstacle.outline_m, own.shape)
+        apart = separation_m(own, outline, [poses[:, 2], heading])
+        if apart[-1] < 0.0:
+            return f"its goal is within {obstacle.obstacle_id}"
+        if apart.min() < 0.0 and not path:
+            path = f"its recorded path leads through {obstacle.obstacle_id}"
+    return path
+
+
 def least_clearance_m(scenario: Scenario, guidance: Sequence[Guidance]) -> float:
     """Least distance that guidance keeps from the boxes of obstacles, those that it touches left out."""
     least = np.inf

@@ -22,7 +22,7 @@ from istc_replay.datatypes import (
 )
 from istc_replay.guidance.build import build_guidance
 from istc_replay.handover import handed_over, held, units_since
-from istc_replay.rounds import late_vehicles
+from istc_replay.rounds import late_text, late_vehicles
 from istc_replay.scenario import build_scenario
 from istc_replay.trajectories.nlp import COSTS
 from istc_replay.trajectories.task import Task
@@ -86,11 +86,13 @@ def carried_on(failed: WindowPlan, before: WindowPlan, part: LogPart, config: Co
         shifted.append(corridor)
         objective += _objective(corridor, participant.priority, config.corridors)
         trajectories.append(trajectory)
+    late = late_vehicles(scenario.participants, trajectories)
+    told = f"the plan before goes on: {failed.status}: {failed.reason}"
     return replace(
         failed,
         scenario=scenario,
         status=WindowStatus.NOT_CERTIFIED,  # until the certificate has said otherwise
-        reason=f"the plan before goes on: {failed.status}: {failed.reason}",
+        reason="; ".join(filter(None, [late_text(late, scenario), told])),
         guidance=guidance,
         corridors=Corridors(
             SolveStatus.FEASIBLE,
@@ -103,7 +105,7 @@ def carried_on(failed: WindowPlan, before: WindowPlan, part: LogPart, config: Co
         frozen=(),
         vehicle_gap_m=before.vehicle_gap_m,
         obstacle_gap_m=before.obstacle_gap_m,
-        late=tuple(late_vehicles(scenario.participants, tuple(trajectories))),
+        late=tuple(late),
     )
 
 

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from istc_replay.apart import driven_through
 from istc_replay.bicycle import dense_motion
 from istc_replay.corridors.formulation import default_limits
 from istc_replay.corridors.seeded import Seeds
@@ -136,7 +137,7 @@ class Rounds:
             return self._settled(WindowStatus.NOT_DRIVABLE, reason, corridors, undrivable=undrivable)
         if self._strays(found):
             return None
-        reason = "; ".join(filter(None, [_late_text(late), corridors.reason]))
+        reason = "; ".join(filter(None, [late_text(late, self.ready.scenario), corridors.reason]))
         # Not certified until the certificate has said so.
         plan = self._plan(WindowStatus.NOT_CERTIFIED, reason, corridors, trajectories=found)
         plan = replace(plan, late=tuple(late))
@@ -363,9 +364,15 @@ def _astray(kept: Lateral) -> tuple[str, str]:
     return "off_the_path", detail
 
 
-def _late_text(late: Mapping[str, float]) -> str:
-    told = ", ".join(f"{vehicle} by {away_m:.1f} m" for vehicle, away_m in late.items())
-    return f"goal not reached: {told}" if late else ""
+def late_text(late: Mapping[str, float], scenario: Scenario) -> str:
+    """Who does not come to its goal, in one line; empty where everybody does."""
+    told = []
+    for participant in scenario.participants:
+        if participant.vehicle_id in late:
+            why = driven_through(participant, scenario)
+            away = f"{participant.vehicle_id} by {late[participant.vehicle_id]:.1f} m"
+            told.append(f"{away} ({why})" if why else away)
+    return f"goal not reached: {', '.join(told)}" if told else ""
 
 
 def _undrivable_text(undrivable: Undrivable) -> str:

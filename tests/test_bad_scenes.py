@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from typing import Any
 
 import pytest
 
 from istc_replay.bench import recorded_log
 from istc_replay.config import Config
+from istc_replay.datatypes import SceneObstacle
 from istc_replay.errors import ScenarioError
 from istc_replay.pipeline.assembly import Replay
 from istc_replay.pipeline.replay import replay_read
@@ -126,4 +128,16 @@ def test_who_cannot_come_to_its_goal_in_time_has_a_plan_that_says_so() -> None:
     assert window["vehicles_certified"] == 2
     assert {v["id"] for v in window["vehicles"] if v["arrived"] is False} == set(window["late"])
     assert "planned" in set(done.result.states["source"].unique())
+    assert done.exit_code == 4
+
+
+def test_a_recording_that_ends_in_an_obstacle_is_planned_up_to_it_and_told_why() -> None:
+    driven = record(scene_of(AHEAD, BESIDE))
+    block = SceneObstacle("block", 16.0, 0.0, 0.0, 4.0, 4.0)
+    log = recorded_log(replace(driven, scene=replace(driven.scene, obstacles=(block,))))
+    done = replay_read(log, FAST)
+    (window,) = done.summary["windows"]
+    assert window["status"] == "goal_not_reached"
+    assert window["late"] == ["1"]
+    assert window["reason"].endswith("m (its goal is within block)")
     assert done.exit_code == 4

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from istc_replay.config import CorridorsConfig
     from istc_replay.corridors.problem import CorridorProblem, Limits
-    from istc_replay.datatypes import Guidance, Scenario
+    from istc_replay.datatypes import Guidance, Scenario, SolveRecord
 
 
 def solve_corridors(
@@ -173,9 +173,14 @@ def _outcome(search: Search, config: CorridorsConfig) -> Corridors:
         bound=search.bound if np.isfinite(search.bound) else None,
         gap=search.gap,
         found_by=search.found_by,
-        reason=search.note,
+        reason="; ".join(filter(None, [search.note, *_faults(records)])),
         records=records,
     )
+
+
+def _faults(records: Sequence[SolveRecord]) -> list[str]:
+    """What CBC did not do, where the rest went on without it."""
+    return [f"{r.stage}: {r.detail}" for r in records if r.solver == "cbc" and r.detail.startswith("CBC ")]
 
 
 def _none_found(search: Search) -> Corridors:

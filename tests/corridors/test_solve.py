@@ -147,6 +147,7 @@ def test_a_solver_that_dies_or_hangs_leaves_what_was_found_before(
     ran = [record for record in solved.records if record.solver == "cbc"]
     assert len(ran) == (1 if mode == "fast" else 2)
     assert all(record.status is status and told in record.detail for record in ran)
+    assert f"cube sizes: {ran[0].detail}" in solved.reason
 
 
 def test_a_solver_that_dies_before_anything_was_found_is_named(
