@@ -21,8 +21,10 @@ import pytest
 from istc_replay.config import ViewConfig
 from istc_replay.datatypes import Result
 from istc_replay.errors import ExportError
+from istc_replay.export.rerun_events import Event
 from istc_replay.export.rerun_view import Opening
 from istc_replay.export.web_bundle import write_bundle
+from istc_replay.export.web_page import view_page
 from istc_replay.export.web_server import folder_server
 
 from ..support.processes import listening
@@ -70,6 +72,19 @@ def test_the_page_shows_hostile_names_as_text(folder: Path) -> None:
     assert "\u202e" not in page
     assert page.isprintable() or set(page) - {"\n"} <= {c for c in page if c.isprintable()}
     assert len(page) < 60_000
+
+
+def test_every_vehicle_has_a_button_to_its_coming_and_many_are_folded(hostile_result: Result) -> None:
+    comings = [
+        Event(n * 10**9, "vehicles", "INFO", f"vehicle <b>{n}</b> is shown for 1.0 s") for n in range(30)
+    ]
+    few, many = (view_page(hostile_result, [], some, 0, 0, report=False) for some in (comings[:9], comings))
+    assert "<details>" not in few
+    assert "<details><summary>30 vehicles, by the time when they come</summary>" in many
+    for page, count in ((few, 9), (many, 30)):
+        assert page.count("data-ns=") == count + 1  # the page's own
+        assert f'data-ns="{(count - 1) * 10**9}"' in page
+        assert "<b>" not in page
 
 
 def test_the_server_is_for_pages_of_this_machine_alone(folder: Path) -> None:
