@@ -19,8 +19,7 @@ _POLICY = (
     "worker-src 'self' blob:; base-uri 'none'; form-action 'none'"
 )
 _EVENTS = 1000
-_WINDOWS = 200
-#: More vehicles are folded away.
+#: More windows, or vehicles, are folded away.
 _FOLDED = 24
 
 
@@ -76,9 +75,9 @@ def view_page(
         scene,
         element(
             "aside",
-            _windows(result),
+            _windows(result, origin_ns),
+            _folded("Vehicles", "vehicles, by the time when they come", comings, origin_ns),
             _list(events, origin_ns),
-            _comings(comings, origin_ns),
             aria_label="What happened",
         ),
         data_ns=str(instant_ns),
@@ -96,19 +95,18 @@ def _totals(result: Result, report: bool) -> Content:
     return [element("p", told, id="told"), link]
 
 
-def _windows(result: Result) -> Content:
-    windows = result.summary["windows"]
-    rows = [
-        element(
-            "li",
+def _windows(result: Result, origin_ns: int) -> Content:
+    windows = [
+        Event(
+            w["start_ns"],
+            "windows",
+            "INFO" if w["status"] == "certified" else "WARN",
             f"Window {w['index']}: {w['status'].replace('_', ' ')}, {w['vehicles_certified']} of "
             f"{w['vehicles_plannable']} plannable vehicles certified",
         )
-        for w in windows[:_WINDOWS]
+        for w in result.summary["windows"]
     ]
-    if len(windows) > _WINDOWS:
-        rows.append(element("li", f"and {len(windows) - _WINDOWS} more"))
-    return [element("h2", "Windows"), element("ul", *rows)]
+    return _folded("Windows", "windows", windows, origin_ns)
 
 
 def _list(events: Sequence[Event], origin_ns: int) -> Content:
@@ -127,16 +125,12 @@ def _list(events: Sequence[Event], origin_ns: int) -> Content:
     ]
 
 
-def _comings(comings: Sequence[Event], origin_ns: int) -> Content:
-    """Every vehicle with the instant when it comes, folded where there are many."""
-    rows = element("ul", *(_row(event, origin_ns) for event in comings))
-    told = f"{len(comings)} vehicles"
-    if len(comings) > _FOLDED:
-        return [
-            element("h2", "Vehicles"),
-            element("details", element("summary", f"{told}, by the time when they come"), rows),
-        ]
-    return [element("h2", "Vehicles"), rows]
+def _folded(heading: str, what: str, events: Sequence[Event], origin_ns: int) -> Content:
+    """Instants as a list, folded away where there are many."""
+    rows = element("ul", *(_row(event, origin_ns) for event in events))
+    if len(events) > _FOLDED:
+        rows = element("details", element("summary", f"{len(events)} {what}"), rows)
+    return [element("h2", heading), rows]
 
 
 def _row(event: Event, origin_ns: int) -> Html:
