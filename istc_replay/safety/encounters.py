@@ -12,7 +12,8 @@ from istc_replay.config import AuditConfig
 from istc_replay.datatypes import FloatArray, Verdict
 from istc_replay.safety.bodies import Body
 from istc_replay.safety.boxes import box_gap
-from istc_replay.safety.findings import Finding, judged_values
+from istc_replay.safety.findings import Finding
+from istc_replay.safety.pair_findings import judged_values
 from istc_replay.safety.pair_samples import Encroachments, Pairs
 from istc_replay.safety.relation import CONFLICT_TYPES, conflict_angle, conflict_type, delta_v
 from istc_replay.safety.rules import SEVERITIES

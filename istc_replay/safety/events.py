@@ -7,11 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from istc_replay.config import AuditConfig
 from istc_replay.datatypes import FloatArray
+from istc_replay.units import NS_PER_S
 
 IntArray = NDArray[np.int64]
 
 _ROUNDING = 1e-9
+#: A bridge spans a sample at least, whatever the rate.
+_BRIDGED_PERIODS = 1.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -25,6 +29,11 @@ class Event:
     worst: int
     end: int
     level: int
+
+
+def longest_bridge_ns(period_ns: float, audit: AuditConfig) -> float:
+    """The longest pause [ns] that an event goes on over, of samples this far apart."""
+    return max(audit.bridge_s * NS_PER_S, _BRIDGED_PERIODS * period_ns)
 
 
 def find_events(

@@ -16,25 +16,14 @@ from istc_replay.safety.against_plan import corridor_findings
 from istc_replay.safety.bodies import Body, common_times, recorded_bodies
 from istc_replay.safety.clocks import Clock, check_clocks
 from istc_replay.safety.encounters import encounter_rows, group_findings
-from istc_replay.safety.findings import (
-    Finding,
-    encroachment_findings,
-    issue_findings,
-    pair_findings,
-    vehicle_findings,
-    vehicle_values,
-)
+from istc_replay.safety.findings import Finding, issue_findings
+from istc_replay.safety.issues import Issue, doubtful_spans, is_doubtful
+from istc_replay.safety.pair_findings import encroachment_findings, pair_findings
 from istc_replay.safety.pair_samples import pairs_table, sample_pairs
-from istc_replay.safety.quality import (
-    Issue,
-    body_issues,
-    clock_issues,
-    doubtful_spans,
-    is_doubtful,
-    overlap_issues,
-)
+from istc_replay.safety.quality import body_issues, clock_issues, overlap_issues
 from istc_replay.safety.rules import CORRIDOR_RULE, PAIR_RULES, PET_RULE, SEVERITIES, VEHICLE_RULES
 from istc_replay.safety.turning import with_turning
+from istc_replay.safety.vehicle_findings import vehicle_findings, vehicle_values
 from istc_replay.safety.vehicle_samples import Motion, smoothed_motion, vehicles_table
 from istc_replay.states import (
     AGAINST_PLAN_SCHEMA,

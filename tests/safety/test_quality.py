@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from istc_replay.config import Config
 from istc_replay.datatypes import Verdict
+from istc_replay.safety.issues import Issue, doubtful_spans, is_doubtful
 from istc_replay.safety.log_audit import Audit, audit_log
-from istc_replay.safety.quality import Issue, doubtful_spans, is_doubtful
 
 from ..support.encounters import recorded
 from ..support.tracks import log_of
