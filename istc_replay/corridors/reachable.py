@@ -23,12 +23,12 @@ def reachable_bounds(
     low, high = block.start_m.copy(), block.start_m.copy()
     pivots_low, pivots_high = [low], [high]
     step_low = step_high = None
+    cones, changes = _cone_hulls(steps), _change_hulls(steps)
     for k in range(block.units):
-        cone_low, cone_high = _cone_hull(steps.along[k], steps.step_m[k], float(steps.cone[k]))
+        cone_low, cone_high = cones[:, k]
         if step_low is not None and step_high is not None:
-            change_low, change_high = _second_hull(steps.heading[k], steps.second_m[k])
-            cone_low = np.maximum(cone_low, step_low + change_low)
-            cone_high = np.minimum(cone_high, step_high + change_high)
+            cone_low = np.maximum(cone_low, step_low + changes[0, k])
+            cone_high = np.minimum(cone_high, step_high + changes[1, k])
         step_low, step_high = cone_low, cone_high
         low, high = low + step_low, high + step_high
         pivots_low.append(low)
@@ -61,13 +61,19 @@ def reachable_bounds(
     return lower, upper
 
 
-def _cone_hull(along: FloatArray, step_m: FloatArray, cone: float) -> tuple[FloatArray, FloatArray]:
-    across = np.array([-along[1], along[0]])
-    corners = np.array([s * (along + mu * across) for s in step_m for mu in (-cone, cone)])
-    return corners.min(axis=0), corners.max(axis=0)
+def _cone_hulls(steps: Steps) -> FloatArray:
+    """Least and largest (2, K, 2) of each step along the axes."""
+    along, cone = steps.along, steps.cone[:, None]
+    across = np.stack([-along[:, 1], along[:, 0]], axis=-1)
+    sides = along - cone * across, along + cone * across
+    corners = np.stack([length[:, None] * side for length in steps.step_m.T for side in sides])
+    return np.stack([corners.min(axis=0), corners.max(axis=0)])
 
 
-def _second_hull(heading: FloatArray, second_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    across = np.array([-heading[1], heading[0]])
-    corners = np.array([s * heading + w * across for s in second_m[:2] for w in second_m[2:]])
-    return corners.min(axis=0), corners.max(axis=0)
+def _change_hulls(steps: Steps) -> FloatArray:
+    """Least and largest (2, K+1, 2) of each second difference along the axes."""
+    heading = steps.heading
+    across = np.stack([-heading[:, 1], heading[:, 0]], axis=-1)
+    lengthwise, sideways = (steps.second_m[:, columns].T[..., None] for columns in ([0, 1], [2, 3]))
+    corners = np.stack([s * heading + w * across for s in lengthwise for w in sideways])
+    return np.stack([corners.min(axis=0), corners.max(axis=0)])

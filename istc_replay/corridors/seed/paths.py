@@ -135,21 +135,21 @@ def _bumped(poses: FloatArray, bumps_m: Sequence[float] = _BUMPS_M) -> list[Floa
     """The path (S, 3) moved aside by a smooth bump over a part of it."""
     share = np.linspace(0.0, 1.0, len(poses))
     normal = np.stack([-np.sin(poses[:, 2]), np.cos(poses[:, 2])], axis=-1)
-    found = []
-    for low, high in _SPANS:
-        x = np.clip((share - low) / (high - low), 0.0, 1.0)
-        shape = 64.0 * (x * (1.0 - x)) ** 3  # curvature is continuous at its ends
-        found += [with_headings(poses[:, :2] + b * shape[:, None] * normal, poses) for b in bumps_m]
-    return found
+    low, high = np.array(_SPANS).T[..., None, None]  # (spans, 1, 1)
+    x = np.clip((share - low) / (high - low), 0.0, 1.0)
+    shape = 64.0 * (x * (1.0 - x)) ** 3  # curvature is continuous at its ends
+    aside = np.array(bumps_m)[:, None] * shape  # (spans, bumps, S)
+    points = poses[:, :2] + aside.reshape(-1, len(poses), 1) * normal
+    return list(with_headings(points, poses))
 
 
 def with_headings(points_m: FloatArray, like: FloatArray) -> FloatArray:
-    """Poses (S, 3) along points (S, 2), the headings at both ends those of `like` (S, 3)."""
-    chords = np.gradient(points_m, axis=0)
-    headings = np.unwrap(np.arctan2(chords[:, 1], chords[:, 0]))
+    """Poses (..., S, 3) along points (..., S, 2), the headings at both ends those of `like` (S, 3)."""
+    chords = np.gradient(points_m, axis=-2)
+    headings = np.unwrap(np.arctan2(chords[..., 1], chords[..., 0]))
     for end in (0, -1):
-        headings[end] += np.angle(np.exp(1j * (like[end, 2] - headings[end])))
-    return np.column_stack([points_m, headings])
+        headings[..., end] += np.angle(np.exp(1j * (like[end, 2] - headings[..., end])))
+    return np.concatenate([points_m, headings[..., None]], axis=-1)
 
 
 def _seed_path(

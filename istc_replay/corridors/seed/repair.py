@@ -6,9 +6,9 @@ after the other in random order; the change is kept where the conflicts do not b
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
-from itertools import combinations, count
+from itertools import combinations
 
 import numpy as np
 
@@ -22,6 +22,8 @@ _ROUNDING_M = 1e-3
 _MOST_OTHERS = 4
 #: Improvements last this many times longer while somebody does not arrive.
 _PATIENCE = 4
+#: Motions of another for which it is kept by which moves it is met.
+_KEPT = 4
 
 
 @dataclass(slots=True)
@@ -36,11 +38,13 @@ class Repair:
     no_way: int | None = None  # a vehicle without any motion
     _barred: set[int] = field(default_factory=set)
     _wider_m: dict[tuple[int, int], FloatArray] = field(default_factory=dict)
+    # Motions by their numbers: equal motions of a vehicle have the same.
     _versions: list[int] = field(default_factory=list)
-    _meetings: dict[tuple[int, int], tuple[int, Met]] = field(default_factory=dict)
+    _numbers: dict[tuple[int, int, bytes], int] = field(default_factory=dict)
+    _meetings: dict[tuple[int, int], dict[int, Met]] = field(default_factory=dict)
     _conflicts: dict[tuple[int, int], tuple[tuple[int, int], list[int]]] = field(default_factory=dict)
+    _planned: dict[tuple[int, float, frozenset[int]], Motion | None] = field(default_factory=dict)
     _random: np.random.Generator = field(init=False)
-    _numbers: Iterator[int] = field(default_factory=count)
 
     def __post_init__(self) -> None:
         self._random = np.random.default_rng(self.seed)
@@ -73,12 +77,14 @@ class Repair:
         lattice = self.lattices[number]
         lattice.bar(self.motions[number], unit - lattice.first_unit)
         self._barred.add(number)
+        self._planned.clear()
 
     def slow(self, number: int, unit: int) -> None:
         """Have a vehicle pass more slowly or elsewhere where it is in a unit: layer 2 cannot drive it so."""
         lattice = self.lattices[number]
         lattice.slow(self.motions[number], unit - lattice.first_unit)
         self._barred.add(number)
+        self._planned.clear()
 
     def keep_apart(self, first: int, second: int, unit: int, more_m: float) -> None:
         """Have two vehicles keep more than the gap in a unit: layer 1 finds them nearer than here."""
@@ -86,6 +92,7 @@ class Repair:
         units = max(lattice.first_unit + lattice.units for lattice in self.lattices)
         wider = self._wider_m.setdefault(pair, np.zeros(units))
         wider[unit] += more_m
+        self._planned.clear()
         for key in (pair, pair[::-1]):
             self._meetings.pop(key, None)
             self._conflicts.pop(key, None)
@@ -192,22 +199,33 @@ class Repair:
             present.append(number)
 
     def _replan(self, number: int, price: float, others: Iterable[int]) -> None:
-        met = [self._met(number, other) for other in others if other != number]
-        motion = self.lattices[number].best(met, price)
+        motion = self._best(number, price, [other for other in others if other != number])
         if motion is None:
             self.no_way = number
-        elif number < len(self.motions):
-            self.motions[number] = motion
-            self._versions[number] = next(self._numbers)
+            return
+        key = number, motion.path, motion.places.tobytes()
+        version = self._numbers.setdefault(key, len(self._numbers))
+        if number < len(self.motions):
+            self.motions[number], self._versions[number] = motion, version
         else:
             self.motions.append(motion)
-            self._versions.append(next(self._numbers))
+            self._versions.append(version)
+
+    def _best(self, number: int, price: float, others: Sequence[int]) -> Motion | None:
+        """The cheapest motion beside those of others; neighbourhoods ask for the same again and again."""
+        key = number, price, frozenset(self._versions[other] for other in others)
+        if key not in self._planned:
+            met = [self._met(number, other) for other in others]
+            self._planned[key] = self.lattices[number].best(met, price)
+        return self._planned[key]
 
     def _met(self, number: int, other: int) -> Met:
         """The moves by which a vehicle meets another's motion."""
-        known = self._meetings.get((number, other))
-        if known is None or known[0] != self._versions[other]:
+        known = self._meetings.setdefault((number, other), {})
+        version = self._versions[other]
+        if version not in known:
             cubes, first = self._kept_clear_m(number, other), self.lattices[other].first_unit
-            found = self.lattices[number].meeting(cubes, first, self.gap_m)
-            known = self._meetings[number, other] = (self._versions[other], found)
-        return known[1]
+            known[version] = self.lattices[number].meeting(cubes, first, self.gap_m)
+            if len(known) > _KEPT:
+                del known[next(iter(known))]
+        return known[version]

@@ -6,7 +6,9 @@ from itertools import combinations
 from typing import Any
 
 import numpy as np
+import pytest
 
+from istc_replay.corridors.seed.lattice import Motion
 from istc_replay.corridors.seed.repair import Repair
 
 FOUR_WAYS = [(-15.0, 0.0, 0.0), (15.0, 0.0, np.pi), (0.0, -15.0, np.pi / 2), (0.0, 15.0, -np.pi / 2)]
@@ -94,3 +96,30 @@ def test_improving_goes_on_while_somebody_does_not_arrive(meeting: Any) -> None:
     assert longer.run(60, 5)
     assert longer.cost <= short.cost
     assert longer.arrives >= short.arrives
+
+
+def test_what_is_kept_from_round_to_round_changes_nothing(
+    meeting: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    lattices = meeting(FOUR_WAYS, ((-2.0, 2.0, 5.0, 9.0),))[2]
+    kept = Repair(lattices, 0.3, 5)
+    kept.run(60, 20)
+    kept.keep_apart(0, 1, 8, 0.5)
+    kept.run(60, 20)
+
+    def forgetful(repair: Repair, number: int, price: float, others: list[int]) -> Motion | None:
+        lattice = repair.lattices[number]
+        met = []
+        for other in others:
+            cubes, first = repair._kept_clear_m(number, other), repair.lattices[other].first_unit
+            met.append(lattice.meeting(cubes, first, repair.gap_m))
+        return lattice.best(met, price)
+
+    monkeypatch.setattr(Repair, "_best", forgetful)
+    anew = Repair(lattices, 0.3, 5)
+    anew.run(60, 20)
+    anew.keep_apart(0, 1, 8, 0.5)
+    anew.run(60, 20)
+    for a, b in zip(kept.motions, anew.motions, strict=True):
+        assert a.path == b.path
+        assert a.places.tolist() == b.places.tolist()
