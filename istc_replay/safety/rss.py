@@ -56,13 +56,14 @@ def safe_distance_opposite(correct_mps: FloatArray, wrong_mps: FloatArray, rss: 
 def safe_distance_lateral(left_mps: FloatArray, right_mps: FloatArray, rss: RssParameters) -> FloatArray:
     """Safe distance across, Definition 6 [m].
 
-    Velocities across, positive from the first vehicle towards the second.
+    Velocities across, positive from the first vehicle towards the second. Who moves away after the response
+    time needs no room to brake in: the printed square, which has no sign, holds for who comes nearer.
     """
     rho, gain = rss.response_s, rss.response_s * rss.lateral_acceleration_mps2
     one, two = left_mps + gain, right_mps - gain
     twice = 2.0 * rss.lateral_braking_mps2
-    closing = ((left_mps + one) / 2.0 * rho + one**2 / twice) - (
-        (right_mps + two) / 2.0 * rho - two**2 / twice
+    closing = ((left_mps + one) / 2.0 * rho + np.maximum(one, 0.0) ** 2 / twice) - (
+        (right_mps + two) / 2.0 * rho - np.minimum(two, 0.0) ** 2 / twice
     )
     return np.asarray(rss.margin_m + np.maximum(closing, 0.0))
 

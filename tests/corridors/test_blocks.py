@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from istc_replay.corridors.blocks import car_box_m
+from istc_replay.corridors.blocks import car_box_m, make_block
 
 
 @settings(max_examples=100, deadline=None)
@@ -20,3 +23,19 @@ def test_the_car_box_holds_the_car_at_every_heading_within_the_slack(
     largest = np.array([(length * c + width * s).max(), (length * s + width * c).max()])
     assert np.all(box >= largest - 1e-9)
     np.testing.assert_allclose(box, largest, rtol=1e-5)
+
+
+def test_the_start_box_is_the_cars_own_and_those_after_it_hold_the_slack(
+    crossing: Callable[..., Any],
+) -> None:
+    case = crossing(1, vehicles=1, units=3)
+    (participant,), (guide,) = case.scenario.participants, case.guidance
+    half = make_block(participant, guide, 0.2, 0).half_gamma_m
+    heading, size = participant.start.heading_rad, participant.dimensions
+    c, s = abs(np.cos(heading)), abs(np.sin(heading))
+    own = [size.length_m * c + size.width_m * s, size.length_m * s + size.width_m * c]
+    np.testing.assert_allclose(2.0 * half[0], own)
+    np.testing.assert_allclose(
+        2.0 * half[1:], car_box_m(guide.headings_rad[1:], 0.2, size.length_m, size.width_m)
+    )
+    assert (half[1:] > half[0] + 0.05).all()

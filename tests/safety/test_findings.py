@@ -184,3 +184,31 @@ def test_the_sign_of_an_encroachment_says_who_was_first() -> None:
         told.append((first, abs(row["least_pet_s"])))
     assert told[0][1] == pytest.approx(told[1][1])
     assert names[told[0][0]] == told[1][0]
+
+
+@pytest.mark.parametrize(("start", "heading", "rules"), [(45.0, 0.0, {"ttc"}), (9.0, np.pi, set())])
+def test_who_backs_up_is_judged_by_where_it_drives_not_by_where_it_looks(
+    start: float, heading: float, rules: set[str]
+) -> None:
+    # To the west it backs up to a standing car, to the east it backs away from one that it faces.
+    course = np.pi + heading
+    backing = recorded("a", T, x_m=start + 3.0 * np.cos(course) * T, speed_mps=-3.0, heading_rad=heading)
+    standing = recorded("b", T, x_m=0.0, speed_mps=0.0)
+    audit = audit_log(log_of(backing, standing), Config())
+    assert {rule for rule, _, who in findings(audit) if len(who) == 2} >= rules
+    assert bool(findings(audit)) == bool(rules)
+    nearest = audit.pair_samples.filter(pl.col("ttc_s").is_finite()).sort("gap_m").head(1)
+    told = nearest.select("gap_m", "ttc_s").rows()
+    assert told == ([(pytest.approx(4.5, abs=0.01), pytest.approx(1.5, abs=0.01))] if rules else [])
+
+
+def test_a_gap_is_as_uncertain_as_both_positions_between_their_samples() -> None:
+    rare = np.arange(0, 12.01, 0.5)
+    log = log_of(
+        recorded("a", T, x_m=8.0 * T, speed_mps=8.0),
+        recorded("b", rare, x_m=8.0 * rare, y_m=3.0, speed_mps=8.0),
+    )
+    samples = audit_log(log, Config()).pair_samples
+    bound = Config().audit.acceleration_bound_mps2 / 8.0
+    assert samples.height > 20
+    np.testing.assert_allclose(samples["gap_bound_m"], bound * (0.1**2 + 0.5**2))

@@ -161,6 +161,18 @@ def test_what_defects_touch_is_inconclusive_and_the_rest_is_not() -> None:
     assert set(affected["vehicle_id"]) == {"b"}
 
 
+def test_what_is_in_doubt_does_not_count_as_judged() -> None:
+    frozen = 8.0 * T
+    frozen[45:50] = frozen[45]
+    coverage = audited(car(), car("b", x_m=frozen, y_m=50.0)).coverage.filter(pl.col("rule") == "ttc")
+    sound, doubtful = coverage.sort("vehicle_id").iter_rows(named=True)
+    assert (sound["affected_s"], sound["judged_s"]) == (0.0, pytest.approx(sound["recorded_s"], abs=0.11))
+    assert doubtful["affected_s"] > 0.3
+    total = doubtful["judged_s"] + doubtful["affected_s"]
+    assert total == pytest.approx(doubtful["recorded_s"], abs=0.11)
+    assert (sound["verdict"], doubtful["verdict"]) == ("pass", "inconclusive")
+
+
 def test_spans_in_doubt_are_merged_and_closed() -> None:
     def issue(start: int, end: int, *, doubtful: bool = True) -> Issue:
         return Issue("data_x", (0,), start, start, end, 0.0, "", 0.0, "", "", doubtful)

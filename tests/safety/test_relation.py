@@ -108,6 +108,15 @@ def test_safe_distance_across() -> None:
     assert safe_distance_lateral(one(0.5), one(-0.5), RSS)[0] == pytest.approx(0.1 + 2 * (0.6 + 0.30625))
     # at rest: mu + 2 (0.1 + 0.2^2 / 1.6)
     assert safe_distance_lateral(one(0.0), one(0.0), RSS)[0] == pytest.approx(0.1 + 2 * (0.1 + 0.025))
+    # One at rest, the other away from it at 0.15: 0.125 less 0.05 and what it comes back by, 0.05^2 / 1.6.
+    away = safe_distance_lateral(one(0.0), one(0.15), RSS)[0]
+    assert away == pytest.approx(0.1 + 0.125 - (0.05 - 0.05**2 / 1.6))
+
+
+@pytest.mark.parametrize("away", [0.5, 3.0, 9.0])
+def test_the_faster_two_move_apart_the_less_room_they_need_across(away: float) -> None:
+    assert safe_distance_lateral(one(0.0), one(away), RSS)[0] == pytest.approx(0.1)
+    assert safe_distance_lateral(one(-away), one(0.0), RSS)[0] == pytest.approx(0.1)
 
 
 def margin(a: Array, b: Array, speeds: tuple[float, float]) -> float:
@@ -141,3 +150,20 @@ def test_meeting_traffic_is_in_danger_before_it_has_passed_and_crossing_traffic_
     assert margin(box(0, 0), box(40, 3.5, np.pi), (10.0, 10.0)) > 0.0
     assert margin(box(0, 0), box(-40, 0.5, np.pi), (10.0, 10.0)) > 0.0
     assert np.isnan(margin(box(0, 0), box(20, 0, np.pi / 2), (10.0, 10.0)))
+
+
+def test_of_the_axes_of_either_vehicle_the_better_margin_counts() -> None:
+    # The second drives off to the left: seen along the first it is farther aside than seen along itself.
+    across = 6.0 - (2.0 + 4.0 * np.sin(0.4) + 2.0 * np.cos(0.4)) / 2.0
+    expected = across - 0.1  # it moves away: the margin mu alone is asked for
+    assert margin(box(0, 0), box(24, 6, 0.4), (20.0, 15.0)) == pytest.approx(expected)
+    assert margin(box(24, 6, 0.4), box(0, 0), (15.0, 20.0)) == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("turn", [0.3, -0.3])
+def test_who_comes_from_the_left_is_as_near_as_who_comes_from_the_right(turn: float) -> None:
+    left = margin(box(0, 0), box(10, 6.0, turn), (10.0, 10.0))
+    right = margin(box(0, 0), box(10, -6.0, -turn), (10.0, 10.0))
+    assert left == pytest.approx(right)
+    away, towards = (margin(box(0, 0), box(10, 6.0, angle), (10.0, 10.0)) for angle in (0.3, -0.3))
+    assert towards < away - 1.0
