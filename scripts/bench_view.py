@@ -141,7 +141,7 @@ def by_columns(table: pl.DataFrame, path: Path) -> int:
     """Boxes and speeds of a table as columns; the number of rows."""
     import rerun as rr
 
-    from istc_replay.export.rerun_chunks import (
+    from istc_replay.export.rerun.chunks import (
         FOREVER_NS,
         Clock,
         at_height,
@@ -227,7 +227,7 @@ def _stream(way: str) -> dict[str, Any]:
 
 def _long(vehicles: int, minutes: float, planned: bool, path: str) -> dict[str, Any]:
     from istc_replay.config import ViewConfig
-    from istc_replay.export.rerun_view import view_chunks, write_view
+    from istc_replay.export.rerun.view import view_chunks, write_view
 
     made = result(vehicles, int(minutes * 60) // WINDOW_S * WINDOW_S, planned=planned)
     began = _cpu_s()
@@ -251,7 +251,7 @@ def viewed(path: str, instants_s: list[float]) -> dict[str, Any]:
     import psutil
     from rerun.experimental import ViewerClient
 
-    from istc_replay.export.rerun_viewer import free_port, rerun_command
+    from istc_replay.export.rerun.viewer import free_port, rerun_command
 
     port = free_port()
     command = rerun_command("--headless", "--port", str(port), "--window-size", "1600x1000")

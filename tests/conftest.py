@@ -110,7 +110,7 @@ def viewer_process(tmp_path_factory: pytest.TempPathFactory) -> Iterator[subproc
     """A headless viewer, started with the product's own command line; skips where there is no drawing."""
     from rerun.experimental import ViewerClient
 
-    from istc_replay.export.rerun_viewer import free_port, rerun_command
+    from istc_replay.export.rerun.viewer import free_port, rerun_command
 
     port = free_port()
     log = tmp_path_factory.mktemp("viewer") / "log.txt"

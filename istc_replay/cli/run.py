@@ -77,7 +77,7 @@ def run(
 
 def _live_view(connect: str | None) -> LiveView | None:
     """A viewer to watch in; without a screen the run goes on unwatched, and says so."""
-    from istc_replay.export.rerun_viewer import start_viewer
+    from istc_replay.export.rerun.viewer import start_viewer
     from istc_replay.pipeline.live import LiveView
 
     try:

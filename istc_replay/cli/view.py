@@ -60,7 +60,7 @@ def view(
 
 
 def _serve(opened: View, port: int) -> None:
-    from istc_replay.export.rerun_viewer import has_screen
+    from istc_replay.export.rerun.viewer import has_screen
 
     with opened.served(port) as server:
         url = f"http://127.0.0.1:{server.server_port}/"

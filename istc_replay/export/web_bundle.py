@@ -17,9 +17,9 @@ from istc_replay.config import ViewConfig
 from istc_replay.datatypes import Result
 from istc_replay.errors import ExportError
 from istc_replay.export.atomic import atomic_file, prepare_folder
-from istc_replay.export.rerun_events import Event, all_events, arrivals
-from istc_replay.export.rerun_view import Opening, Parts, laid_out, write_view
-from istc_replay.export.rerun_viewer import LOCAL, free_port, rerun_command
+from istc_replay.export.rerun.events import Event, all_events, arrivals
+from istc_replay.export.rerun.view import Opening, Parts, laid_out, write_view
+from istc_replay.export.rerun.viewer import LOCAL, free_port, rerun_command
 from istc_replay.export.web_page import view_page
 
 _VIEWER = ("re_viewer.js", "re_viewer_bg.wasm")

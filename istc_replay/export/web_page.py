@@ -10,8 +10,8 @@ from collections.abc import Sequence
 
 from istc_replay.datatypes import Result
 from istc_replay.export.report.markup import Content, Html, element
-from istc_replay.export.rerun_chunks import label
-from istc_replay.export.rerun_events import Event
+from istc_replay.export.rerun.chunks import label
+from istc_replay.export.rerun.events import Event
 
 _POLICY = (
     "default-src 'none'; script-src 'self' 'wasm-unsafe-eval'; style-src 'self' 'unsafe-inline'; "

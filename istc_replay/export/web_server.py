@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import BinaryIO
 
 from istc_replay.errors import ExportError
-from istc_replay.export.rerun_viewer import LOCAL
+from istc_replay.export.rerun.viewer import LOCAL
 
 
 class _Handler(SimpleHTTPRequestHandler):

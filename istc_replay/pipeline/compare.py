@@ -33,7 +33,7 @@ def compare_read(one: Path, two: Path, folder: Path | None) -> tuple[Comparison,
         return comparison, []
     from istc_replay.export.atomic import atomic_file, prepare_folder
     from istc_replay.export.report.beside import comparison_html, pictured
-    from istc_replay.export.rerun_beside import write_beside
+    from istc_replay.export.rerun.beside import write_beside
 
     prepare_folder(folder)
     files = [folder / name for name in ("compare.html", "compare.json", "compare.rrd")]

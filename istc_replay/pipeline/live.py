@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from istc_replay.errors import IstcReplayError
-from istc_replay.export.rerun_stage import Anchor
-from istc_replay.export.rerun_view import Opening, new_recording, recording_id
-from istc_replay.export.rerun_viewer import close_recording, connected, send_live, send_view
+from istc_replay.export.rerun.stage import Anchor
+from istc_replay.export.rerun.view import Opening, new_recording, recording_id
+from istc_replay.export.rerun.viewer import close_recording, connected, send_live, send_view
 from istc_replay.windows import window_spans
 
 if TYPE_CHECKING:

@@ -91,7 +91,7 @@ def write_run(
         found = read_in_parts(folder / RESULT)
     if "view.rrd" in products:
         with timing.stage("view_rrd"):
-            from istc_replay.export.rerun_view import write_view
+            from istc_replay.export.rerun.view import write_view
 
             write_view(found.result, config.view, folder / "view.rrd", parts=found.parts)
     if "report.html" in products:

@@ -14,8 +14,8 @@ import polars as pl
 
 from istc_replay.config import ViewConfig, parse_config
 from istc_replay.errors import UsageError
-from istc_replay.export.rerun_view import Opening, write_view
-from istc_replay.export.rerun_viewer import send_view, start_viewer
+from istc_replay.export.rerun.view import Opening, write_view
+from istc_replay.export.rerun.viewer import send_view, start_viewer
 from istc_replay.export.web_bundle import write_bundle
 from istc_replay.export.web_server import folder_server
 from istc_replay.pipeline.reading import Reading, read_in_parts

@@ -58,7 +58,7 @@ def rows_by_entity() -> Callable[[Any], dict[str, Rows]]:
 @pytest.fixture(scope="session")
 def rrd(synthetic_result: Result, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The view of `synthetic_result` in a file."""
-    from istc_replay.export.rerun_view import write_view
+    from istc_replay.export.rerun.view import write_view
 
     path = tmp_path_factory.mktemp("view") / "view.rrd"
     write_view(synthetic_result, ViewConfig(metres_per_second=2.0), path)
@@ -78,7 +78,7 @@ def view_of(
     rows_by_entity: Callable[[Any], dict[str, Rows]], strict_rerun: None
 ) -> Callable[[Result], dict[str, Rows]]:
     """Give the rows by entity of a result's view."""
-    from istc_replay.export.rerun_view import view_chunks
+    from istc_replay.export.rerun.view import view_chunks
 
     return lambda result: rows_by_entity(view_chunks(result, ViewConfig(metres_per_second=2.0)))
 

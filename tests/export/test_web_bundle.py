@@ -21,8 +21,8 @@ import pytest
 from istc_replay.config import ViewConfig
 from istc_replay.datatypes import Result
 from istc_replay.errors import ExportError
-from istc_replay.export.rerun_events import Event
-from istc_replay.export.rerun_view import Opening
+from istc_replay.export.rerun.events import Event
+from istc_replay.export.rerun.view import Opening
 from istc_replay.export.web_bundle import write_bundle
 from istc_replay.export.web_page import view_page
 from istc_replay.export.web_server import folder_server

@@ -12,7 +12,7 @@ from rerun.chunk import RrdReader
 from istc_replay.config import ViewConfig
 from istc_replay.datatypes import Result
 from istc_replay.errors import ExportError, LogError, UsageError
-from istc_replay.export.rerun_view import view_chunks
+from istc_replay.export.rerun.view import view_chunks
 from istc_replay.pipeline import view as pipeline_view
 from istc_replay.pipeline.reading import Reading
 from istc_replay.pipeline.view import open_view

@@ -9,12 +9,12 @@ import rerun as rr
 from rerun.chunk import Chunk
 
 from istc_replay.datatypes import SOUND
-from istc_replay.export.rerun_chunks import FOREVER_NS, each, entity, label, shown
-from istc_replay.export.rerun_clearance import Clearance
-from istc_replay.export.rerun_findings import findings_lines
-from istc_replay.export.rerun_markdown import ROWS, cut
-from istc_replay.export.rerun_plots import manoeuvres
-from istc_replay.export.rerun_stage import Span, Stage
+from istc_replay.export.rerun.chunks import FOREVER_NS, each, entity, label, shown
+from istc_replay.export.rerun.clearance import Clearance
+from istc_replay.export.rerun.findings import findings_lines
+from istc_replay.export.rerun.markdown import ROWS, cut
+from istc_replay.export.rerun.plots import manoeuvres
+from istc_replay.export.rerun.stage import Span, Stage
 
 _LEVELS = {
     "INFO": rr.TextLogLevel.INFO,

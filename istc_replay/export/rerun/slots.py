@@ -13,8 +13,8 @@ from typing import Any
 
 from rerun.chunk import Chunk
 
-from istc_replay.export.rerun_chunks import Columns, same, static
-from istc_replay.export.rerun_stage import Stage
+from istc_replay.export.rerun.chunks import Columns, same, static
+from istc_replay.export.rerun.stage import Stage
 
 #: More vehicles share slots.
 OWN_ENTITIES = 300

@@ -10,7 +10,7 @@ import polars as pl
 
 from istc_replay.config import Config
 from istc_replay.datatypes import FloatArray
-from istc_replay.export.rerun_chunks import FOREVER_NS, IntArray
+from istc_replay.export.rerun.chunks import FOREVER_NS, IntArray
 from istc_replay.units import seconds_to_ns
 
 #: A recording is interrupted where states are this many sampling periods apart, or this long.

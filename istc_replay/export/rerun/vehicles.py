@@ -1,6 +1,6 @@
 """The vehicles on the present plane: boxes, names, trails, paths, and the cubes that they are in.
 
-Boxes are drawn for all vehicles, the rest for those that lead (see `rerun_cast`); cubes and paths
+Boxes are drawn for all vehicles, the rest for those that lead (see `rerun.cast`); cubes and paths
 of the others wait under `/now/quiet`.
 """
 
@@ -14,7 +14,7 @@ import rerun as rr
 from rerun.chunk import Chunk
 
 from istc_replay.export.colours import Colour
-from istc_replay.export.rerun_chunks import (
+from istc_replay.export.rerun.chunks import (
     FOREVER_NS,
     at_height,
     each,
@@ -25,10 +25,10 @@ from istc_replay.export.rerun_chunks import (
     shown,
     ui_radius,
 )
-from istc_replay.export.rerun_slots import look, place
-from istc_replay.export.rerun_space_time import FILL, line_chunks
-from istc_replay.export.rerun_stage import Root, Stage, local_cubes, local_points
-from istc_replay.export.rerun_tracks import Track
+from istc_replay.export.rerun.slots import look, place
+from istc_replay.export.rerun.space_time import FILL, line_chunks
+from istc_replay.export.rerun.stage import Root, Stage, local_cubes, local_points
+from istc_replay.export.rerun.tracks import Track
 
 _TRAIL_STEP_NS = 250_000_000
 _TRAIL_POINTS = 13

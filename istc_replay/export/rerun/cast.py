@@ -14,9 +14,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import polars as pl
 
-from istc_replay.export.rerun_clearance import Clearance, Leasts, add_leasts, closest_pairs
-from istc_replay.export.rerun_slots import Presence, presence, slots
-from istc_replay.export.rerun_stage import Span, Stage, height_of_second, tower_shares
+from istc_replay.export.rerun.clearance import Clearance, Leasts, add_leasts, closest_pairs
+from istc_replay.export.rerun.slots import Presence, presence, slots
+from istc_replay.export.rerun.stage import Span, Stage, height_of_second, tower_shares
 
 #: So many vehicles are shown in full.
 LEADING = 12

@@ -11,10 +11,10 @@ import rerun as rr
 from rerun.chunk import Chunk
 
 from istc_replay.export.colours import LANE, Colour
-from istc_replay.export.rerun_cast import SEVERITIES
-from istc_replay.export.rerun_chunks import at_height, each, entity, label, same, shown, ui_radius
-from istc_replay.export.rerun_markdown import escaped, number, table
-from istc_replay.export.rerun_stage import Span, Stage
+from istc_replay.export.rerun.cast import SEVERITIES
+from istc_replay.export.rerun.chunks import at_height, each, entity, label, same, shown, ui_radius
+from istc_replay.export.rerun.markdown import escaped, number, table
+from istc_replay.export.rerun.stage import Span, Stage
 
 _LEVELS = {"critical": "CRITICAL", "serious": "ERROR", "minor": "WARN"}
 _COLOURS: dict[str, Colour] = {"critical": (220, 50, 40), "serious": (230, 110, 20), "minor": (190, 150, 20)}

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from istc_replay.datatypes import FloatArray
-from istc_replay.export.rerun_chunks import IntArray
-from istc_replay.export.rerun_stage import Span, Stage
-from istc_replay.export.rerun_tracks import Track
+from istc_replay.export.rerun.chunks import IntArray
+from istc_replay.export.rerun.stage import Span, Stage
+from istc_replay.export.rerun.tracks import Track
 from istc_replay.safety.boxes import box_gap
 
 #: Pairs farther apart than this are not of interest [m].

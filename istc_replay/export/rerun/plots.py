@@ -23,10 +23,10 @@ from rerun.chunk import Chunk
 
 from istc_replay.datatypes import FloatArray
 from istc_replay.export.colours import LANE, PALETTE, Colour
-from istc_replay.export.rerun_chunks import FOREVER_NS, IntArray, each, entity, ragged, same, shown, static
-from istc_replay.export.rerun_clearance import HORIZON_M, Clearance
-from istc_replay.export.rerun_stage import Span, Stage, greyed
-from istc_replay.export.rerun_tracks import Track
+from istc_replay.export.rerun.chunks import FOREVER_NS, IntArray, each, entity, ragged, same, shown, static
+from istc_replay.export.rerun.clearance import HORIZON_M, Clearance
+from istc_replay.export.rerun.stage import Span, Stage, greyed
+from istc_replay.export.rerun.tracks import Track
 
 STOP_MPS = 0.3
 YIELD_SHARE = 0.85

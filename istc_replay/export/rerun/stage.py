@@ -13,8 +13,8 @@ from numpy.typing import ArrayLike, NDArray
 from istc_replay.config import Config, ViewConfig, parse_config
 from istc_replay.datatypes import FloatArray, Frame, Result
 from istc_replay.export.colours import Colour, vehicle_colours
-from istc_replay.export.rerun_chunks import FOREVER_NS, Clock, IntArray, label, quaternions
-from istc_replay.export.rerun_tracks import Track, make_track
+from istc_replay.export.rerun.chunks import FOREVER_NS, Clock, IntArray, label, quaternions
+from istc_replay.export.rerun.tracks import Track, make_track
 from istc_replay.geometry import rotate, to_map
 
 BoolArray = NDArray[np.bool_]
@@ -110,11 +110,11 @@ class Stage:
     `recorded` and `in_force` by vehicle (in_force: of every window's plan the part that is shown);
     `planned` and `guidance` by window and vehicle. `grounds` by window. `starring` are the vehicles
     whose plots are shown, `leading` by window those that are named and whose corridors are shown
-    there; the rest waits under `quiet` (see `rerun_cast`). `follows` are the vehicles that the
+    there; the rest waits under `quiet` (see `rerun.cast`). `follows` are the vehicles that the
     close-up follows by window, `closest` the pairs whose clearance is plotted; `plots_all`: those of
     the others are in the view too. `anchor` tells which part of a result this is. `presence` tells from when
     to when [ns] each vehicle of the whole result is shown, and `slots` whose entities it has where many come
-    and go (see `rerun_slots`).
+    and go (see `rerun.slots`).
     """
 
     result: Result

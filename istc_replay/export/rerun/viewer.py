@@ -20,8 +20,8 @@ import rerun as rr
 from istc_replay.config import ViewConfig
 from istc_replay.datatypes import Result
 from istc_replay.errors import ExportError
-from istc_replay.export.rerun_stage import Anchor
-from istc_replay.export.rerun_view import (
+from istc_replay.export.rerun.stage import Anchor
+from istc_replay.export.rerun.view import (
     Opening,
     Parts,
     lay_out,

@@ -9,7 +9,7 @@ from rerun.chunk import Chunk
 
 from istc_replay.datatypes import FloatArray
 from istc_replay.export.colours import LANE, Colour
-from istc_replay.export.rerun_chunks import (
+from istc_replay.export.rerun.chunks import (
     at_height,
     each,
     entity,
@@ -18,8 +18,8 @@ from istc_replay.export.rerun_chunks import (
     shown,
     ui_radius,
 )
-from istc_replay.export.rerun_slots import place
-from istc_replay.export.rerun_stage import Root, Span, Stage, local_cubes, local_points
+from istc_replay.export.rerun.slots import place
+from istc_replay.export.rerun.stage import Root, Span, Stage, local_cubes, local_points
 from istc_replay.geometry import rotate
 
 FILL = rr.components.FillMode

@@ -16,7 +16,7 @@ from rerun.chunk import Chunk
 
 from istc_replay.datatypes import FloatArray
 from istc_replay.export.colours import EDGE, LANE, Colour
-from istc_replay.export.rerun_chunks import (
+from istc_replay.export.rerun.chunks import (
     CHUNK_BYTES,
     FOREVER_NS,
     IntArray,
@@ -30,8 +30,8 @@ from istc_replay.export.rerun_chunks import (
     static,
     ui_radius,
 )
-from istc_replay.export.rerun_space_time import FILL, line_chunks
-from istc_replay.export.rerun_stage import Stage, local_cubes
+from istc_replay.export.rerun.space_time import FILL, line_chunks
+from istc_replay.export.rerun.stage import Stage, local_cubes
 from istc_replay.geometry import box_corners
 
 _NOW: Colour = (230, 150, 20)

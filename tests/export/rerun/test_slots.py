@@ -14,10 +14,10 @@ from rerun.chunk import RrdReader
 
 from istc_replay.config import ViewConfig
 from istc_replay.datatypes import Result
-from istc_replay.export import rerun_slots
 from istc_replay.export.colours import vehicle_colours
-from istc_replay.export.rerun_slots import slots
-from istc_replay.export.rerun_view import view_chunks, write_view
+from istc_replay.export.rerun import slots as rerun_slots
+from istc_replay.export.rerun.slots import slots
+from istc_replay.export.rerun.view import view_chunks, write_view
 from istc_replay.ingest.result import read_result
 from istc_replay.ingest.result_states import result_parts
 

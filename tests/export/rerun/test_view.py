@@ -15,8 +15,8 @@ from shapely.geometry import Point, Polygon, box
 
 from istc_replay.config import Config
 from istc_replay.datatypes import Frame, Result
-from istc_replay.export.rerun_chunks import entity
-from istc_replay.export.rerun_plots import precedences
+from istc_replay.export.rerun.chunks import entity
+from istc_replay.export.rerun.plots import precedences
 from istc_replay.geometry import to_map
 from istc_replay.states import CORRIDORS_SCHEMA, conform
 

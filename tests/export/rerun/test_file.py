@@ -20,12 +20,12 @@ from rerun.chunk import RrdReader
 from istc_replay.config import ViewConfig
 from istc_replay.datatypes import LaneLine, Result, StaticScene, read_only
 from istc_replay.errors import ExportError
-from istc_replay.export import rerun_view
-from istc_replay.export.rerun_chunks import CHUNK_BYTES, CHUNK_ROWS, entity, label
-from istc_replay.export.rerun_view import recording_id, view_chunks, write_view
+from istc_replay.export.rerun import view as rerun_view
+from istc_replay.export.rerun.chunks import CHUNK_BYTES, CHUNK_ROWS, entity, label
+from istc_replay.export.rerun.view import recording_id, view_chunks, write_view
 from istc_replay.states import RESULT_STATES_SCHEMA, conform
 
-from ..support.results import renamed
+from ...support.results import renamed
 
 S = 1_000_000_000
 
@@ -69,7 +69,7 @@ def test_a_file_without_a_footer_is_written_without_a_word(synthetic_bytes: byte
     code = """if True:
         import sys
         from pathlib import Path
-        from istc_replay.export import rerun_view
+        from istc_replay.export.rerun import view as rerun_view
         from istc_replay.pipeline.view import open_view
         rerun_view._FOOTER_WINDOWS = 0
         open_view(Path(sys.argv[1])).save(Path(sys.argv[1]) / "view.rrd")
@@ -105,7 +105,7 @@ def test_the_layout_asks_for_whole_subtrees_that_exist(
 
 
 def test_the_layout_knows_no_scenario() -> None:
-    source = Path(rerun_view.__file__).with_name("rerun_blueprint.py").read_text(encoding="utf-8")
+    source = Path(rerun_view.__file__).with_name("blueprint.py").read_text(encoding="utf-8")
     assert "Result" not in source
     assert "stage" not in source.lower()
 

@@ -17,13 +17,13 @@ import pytest
 from istc_replay.config import ViewConfig
 from istc_replay.datatypes import Result
 from istc_replay.errors import ExportError
-from istc_replay.export import rerun_viewer
 from istc_replay.export.colours import vehicle_colours
-from istc_replay.export.rerun_blueprint import blueprint
-from istc_replay.export.rerun_view import Opening, recording_id, write_view
-from istc_replay.export.rerun_viewer import send_view
+from istc_replay.export.rerun import viewer as rerun_viewer
+from istc_replay.export.rerun.blueprint import blueprint
+from istc_replay.export.rerun.view import Opening, recording_id, write_view
+from istc_replay.export.rerun.viewer import send_view
 
-from ..support.processes import listening
+from ...support.processes import listening
 
 
 def _picture(viewer: Any, seconds: float, view: str | None = None) -> np.ndarray:

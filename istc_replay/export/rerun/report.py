@@ -9,11 +9,11 @@ import polars as pl
 import rerun as rr
 from rerun.chunk import Chunk
 
-from istc_replay.export.rerun_chunks import FOREVER_NS, each, entity, label, same, shown
-from istc_replay.export.rerun_clearance import HORIZON_M, Clearance, least_by_vehicle
-from istc_replay.export.rerun_findings import findings_text
-from istc_replay.export.rerun_markdown import escaped, number, table
-from istc_replay.export.rerun_stage import Span, Stage
+from istc_replay.export.rerun.chunks import FOREVER_NS, each, entity, label, same, shown
+from istc_replay.export.rerun.clearance import HORIZON_M, Clearance, least_by_vehicle
+from istc_replay.export.rerun.findings import findings_text
+from istc_replay.export.rerun.markdown import escaped, number, table
+from istc_replay.export.rerun.stage import Span, Stage
 
 
 def report_chunks(stage: Stage, found: list[Clearance]) -> list[Chunk]:

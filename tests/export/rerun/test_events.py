@@ -9,9 +9,9 @@ from typing import Any
 import polars as pl
 
 from istc_replay.datatypes import Result
-from istc_replay.export.rerun_markdown import ROWS
+from istc_replay.export.rerun.markdown import ROWS
 
-from ..support.results import with_window
+from ...support.results import with_window
 
 Rows = list[dict[str, Any]]
 View = Callable[[Result], dict[str, Rows]]

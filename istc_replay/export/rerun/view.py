@@ -24,19 +24,19 @@ from istc_replay.config import ViewConfig
 from istc_replay.datatypes import Result
 from istc_replay.errors import ExportError
 from istc_replay.export.atomic import atomic_file
-from istc_replay.export.rerun_blueprint import CLOSE_UP, blueprint
-from istc_replay.export.rerun_cast import Survey, cast
-from istc_replay.export.rerun_chunks import label
-from istc_replay.export.rerun_clearance import Clearance, clearances
-from istc_replay.export.rerun_events import event_chunks
-from istc_replay.export.rerun_eyes import eye_chunks
-from istc_replay.export.rerun_findings import finding_chunks
-from istc_replay.export.rerun_now import now_chunks
-from istc_replay.export.rerun_plots import plot_chunks
-from istc_replay.export.rerun_report import report_chunks
-from istc_replay.export.rerun_space_time import space_time_chunks
-from istc_replay.export.rerun_stage import Anchor, Stage, make_stage
-from istc_replay.export.rerun_vehicles import vehicle_chunks
+from istc_replay.export.rerun.blueprint import CLOSE_UP, blueprint
+from istc_replay.export.rerun.cast import Survey, cast
+from istc_replay.export.rerun.chunks import label
+from istc_replay.export.rerun.clearance import Clearance, clearances
+from istc_replay.export.rerun.events import event_chunks
+from istc_replay.export.rerun.eyes import eye_chunks
+from istc_replay.export.rerun.findings import finding_chunks
+from istc_replay.export.rerun.now import now_chunks
+from istc_replay.export.rerun.plots import plot_chunks
+from istc_replay.export.rerun.report import report_chunks
+from istc_replay.export.rerun.space_time import space_time_chunks
+from istc_replay.export.rerun.stage import Anchor, Stage, make_stage
+from istc_replay.export.rerun.vehicles import vehicle_chunks
 
 APPLICATION_ID = "istc-replay"
 

@@ -12,8 +12,8 @@ from rerun.chunk import RrdReader
 
 from istc_replay.config import ViewConfig
 from istc_replay.datatypes import Result
-from istc_replay.export import rerun_view
-from istc_replay.export.rerun_view import write_view
+from istc_replay.export.rerun import view as rerun_view
+from istc_replay.export.rerun.view import write_view
 from istc_replay.ingest.result import read_result
 from istc_replay.ingest.result_states import result_parts
 

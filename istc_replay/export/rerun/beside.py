@@ -17,8 +17,8 @@ from istc_replay.comparison.words import sentences
 from istc_replay.config import parse_config
 from istc_replay.datatypes import Result
 from istc_replay.errors import ConfigError
-from istc_replay.export.rerun_markdown import escaped
-from istc_replay.export.rerun_view import (
+from istc_replay.export.rerun.markdown import escaped
+from istc_replay.export.rerun.view import (
     Parts,
     laid_out,
     recorded_file,

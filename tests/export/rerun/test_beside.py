@@ -13,8 +13,8 @@ from rerun.chunk import Chunk
 from istc_replay.comparison.compare import compare_results
 from istc_replay.config import ViewConfig
 from istc_replay.datatypes import Result
-from istc_replay.export.rerun_beside import beside_blueprint, beside_chunks, write_beside
-from istc_replay.export.rerun_view import view_chunks
+from istc_replay.export.rerun.beside import beside_blueprint, beside_chunks, write_beside
+from istc_replay.export.rerun.view import view_chunks
 
 
 def flat(parts: Iterable[list[Chunk]]) -> list[Chunk]:

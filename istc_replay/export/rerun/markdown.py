@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from istc_replay.export.rerun_chunks import plain
+from istc_replay.export.rerun.chunks import plain
 
 #: So many rows of a table, or events of a kind, are shown.
 ROWS = 60

@@ -7,8 +7,8 @@ import rerun as rr
 from rerun.chunk import Chunk
 
 from istc_replay.datatypes import FloatArray
-from istc_replay.export.rerun_chunks import FOREVER_NS, at_height, each, entity, shown, static
-from istc_replay.export.rerun_stage import Stage
+from istc_replay.export.rerun.chunks import FOREVER_NS, at_height, each, entity, shown, static
+from istc_replay.export.rerun.stage import Stage
 
 #: Vertical field of view.
 _FOV_RAD = 0.9
