@@ -10,7 +10,7 @@ import numpy as np
 
 from istc_replay.corridors import cbc, groups, neighbourhoods
 from istc_replay.corridors.cube_sizes import size_problem
-from istc_replay.corridors.polish import polish_about
+from istc_replay.corridors.polish import FEASIBLE_M, polish_about
 from istc_replay.corridors.relinearise import frames_about, with_references
 from istc_replay.datatypes import FloatArray, SolveRecord, SolveStatus
 
@@ -152,11 +152,12 @@ def _size_cubes(search: Search, z: FloatArray, config: CorridorsConfig) -> IntAr
     return sizes.choice
 
 
-def gives_way(search: Search) -> bool:
+def gives_way(search: Search, part: Sequence[int] | None = None) -> bool:
     """Whether someone is not back at its guidance in the end: its frames are then those of elsewhere."""
     if search.z is None:
         return False
-    for block in search.problem.blocks:
+    for number in range(len(search.problem.blocks)) if part is None else part:
+        block = search.problem.blocks[number]
         away = search.z[block.pivot[-1]] - block.reference_m[-1]
         if float(np.hypot(*away)) > _BEHIND_M:
             return True
@@ -173,40 +174,98 @@ def follow(
 ) -> None:
     """Write the frames anew about the incumbent and solve again, while that makes it better.
 
-    Other choices are `searched` for only where the frames made a difference.
+    Parts of the window that never meet are judged each for itself. Other choices are `searched` for only
+    where the frames made a difference.
     """
+    parts = search.problem.parts
+    if searched and search.exhausted:
+        parts = tuple(part for part in parts if gives_way(search, part))
     for round_ in range(1, config.frame_rounds + 1):
-        if search.z is None:
+        if search.z is None or not parts:
             return
         began = time.perf_counter()
-        frames = frames_about(search.problem, search.z, search.frames or guidance)
-        problem = with_references(rewritten(frames), guidance)
-        if len(problem.impossible) or cramped(problem):
-            return
-        polished = polish_about(problem, search.z)
-        found = [polished]
-        much = _MUCH * abs(search.objective)
-        if searched and polished is not None and problem.objective(polished) < search.objective - much:
-            least = problem.least_cubes(polished)
-            refined, _ = neighbourhoods.improve(problem, least, config.tree_node_budget // 4)
-            found.append(polish_about(problem, refined))
-        best = min((z for z in found if z is not None), key=problem.objective, default=None)
-        better = best is not None and problem.objective(best) < search.objective - _WORTH * abs(
-            search.objective
-        )
-        if better:
-            search.problem, search.reference_bound, search.exhausted = problem, 0.0, False
-            search.frames = frames
-            search.offer(best, f"frames about the plan, round {round_}")
+        found = _followed(search, parts, guidance, rewritten, config, searched=searched)
         search.record(
             f"frames about the plan {round_}",
             "daqp, piqp",
-            SolveStatus.FEASIBLE if best is not None else SolveStatus.INFEASIBLE,
+            SolveStatus.FEASIBLE if found is not None else SolveStatus.INFEASIBLE,
             began,
-            objective=None if best is None else problem.objective(best),
+            objective=None if found is None else found.problem.objective(found.z),
         )
-        if not better:
+        if found is None or not found.parts:
             return
+        search.problem, search.reference_bound, search.exhausted = found.problem, 0.0, False
+        search.frames, parts = found.frames, found.parts
+        search.offer(found.z, f"frames about the plan, round {round_}")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Followed:
+    """A solution about other frames, and the parts of the window that it makes better."""
+
+    problem: CorridorProblem
+    frames: tuple[Guidance, ...]
+    z: FloatArray
+    parts: tuple[tuple[int, ...], ...]
+
+
+def _followed(
+    search: Search,
+    parts: Sequence[tuple[int, ...]],
+    guidance: Sequence[Guidance],
+    rewritten: Callable[[Sequence[Guidance]], CorridorProblem],
+    config: CorridorsConfig,
+    *,
+    searched: bool,
+) -> _Followed | None:
+    """Frames of some parts about the incumbent; None where there is no solution about them."""
+    before, old = search.frames or tuple(guidance), search.z
+    if old is None:
+        return None
+    frames = _mixed(before, frames_about(search.problem, old, before), parts)
+    problem = with_references(rewritten(frames), guidance)
+    polished = None if len(problem.impossible) or cramped(problem) else polish_about(problem, old)
+    if polished is None:
+        return None
+    costs = {part: search.problem.part_objective(old, part) for part in parts}
+
+    def better(z: FloatArray, share: float) -> list[tuple[int, ...]]:
+        return [p for p in parts if problem.part_objective(z, p) < costs[p] - share * abs(costs[p])]
+
+    z, much = polished, better(polished, _MUCH) if searched else []
+    if much:
+        refined, _ = neighbourhoods.improve(problem, problem.least_cubes(z), config.tree_node_budget // 4)
+        again = polish_about(problem, refined)
+        if again is not None:
+            gain = [p for p in much if problem.part_objective(again, p) < problem.part_objective(z, p)]
+            z = _joined(problem, z, again, gain)
+    gained = better(z, _WORTH)
+    if len(gained) < len(search.problem.parts):  # the others stay as they were, frames and all
+        frames = _mixed(before, frames, gained)
+        problem = with_references(rewritten(frames), guidance)
+        z = _joined(problem, old, z, gained)
+        if (problem.separations.slack(z).max(axis=1, initial=-np.inf) < -FEASIBLE_M).any():
+            return None
+    return _Followed(problem, frames, z, tuple(gained))
+
+
+def _mixed(
+    old: Sequence[Guidance], new: Sequence[Guidance], parts: Sequence[tuple[int, ...]]
+) -> tuple[Guidance, ...]:
+    """The new frames of some parts, the old ones of all others."""
+    chosen = {number for part in parts for number in part}
+    return tuple(new[row] if row in chosen else old[row] for row in range(len(old)))
+
+
+def _joined(
+    problem: CorridorProblem, old: FloatArray, new: FloatArray, parts: Sequence[tuple[int, ...]]
+) -> FloatArray:
+    """The new solution of some parts, the old one of all others."""
+    z = np.array(old)
+    for part in parts:
+        own = problem.indices(part)
+        z[own] = new[own]
+    return z
 
 
 def cramped(problem: CorridorProblem) -> list[tuple[str, int]]:

@@ -18,7 +18,7 @@ from istc_replay.corridors.conflict_tree import TOGETHER, Group, Tree
 from istc_replay.corridors.groups import proof_parts
 from istc_replay.corridors.neighbourhoods import binding_choices
 from istc_replay.corridors.pivot_qp import Choice, Choices, Part, PivotQp, PivotSolution
-from istc_replay.corridors.polish import own_indices, polish, polish_part
+from istc_replay.corridors.polish import polish, polish_part
 
 if TYPE_CHECKING:
     from istc_replay.corridors.problem import CorridorProblem, IntArray
@@ -121,7 +121,7 @@ class JointTree:
 
     def __post_init__(self) -> None:
         self._tree = Tree(self.problem, self.qp, self.group, 0, ())
-        self._indices = own_indices(self.problem, self._members)
+        self._indices = self.problem.indices(self._members)
         self.objective = self._value(self.around)
         self._shares = self._relaxed()
         root = self.qp.root(self._members, ())
@@ -240,7 +240,7 @@ class JointTree:
             found = self._joint[part]
             if found is None:
                 return None
-            z[own_indices(self.problem, part.members)] = found
+            z[self.problem.indices(part.members)] = found
         return z
 
     def _spread(self, own: FloatArray | None) -> FloatArray | None:

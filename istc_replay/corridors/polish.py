@@ -93,12 +93,6 @@ def with_near_rows(
         near |= slack < _NEAR_M
 
 
-def own_indices(problem: CorridorProblem, vehicles: Sequence[int]) -> IntArray:
-    """Indices of all variables of some vehicles."""
-    blocks = [problem.blocks[v] for v in vehicles]
-    return np.concatenate([np.concatenate([b.pivot[1:].ravel(), b.cube.ravel()]) for b in blocks])
-
-
 def polish_part(
     problem: CorridorProblem,
     vehicles: Sequence[int],
@@ -111,9 +105,9 @@ def polish_part(
     Returns
     -------
     array or None
-        The optimum in the order of `own_indices`, or None where none was found.
+        The optimum in the order of `problem.indices`, or None where none was found.
     """
-    indices = own_indices(problem, vehicles)
+    indices = problem.indices(vehicles)
     local = np.full(problem.size + 1, CONSTANT, dtype=np.int64)
     local[indices] = np.arange(len(indices))
     rows = problem.rows.taken(local[problem.rows.index[:, 0]] != CONSTANT)

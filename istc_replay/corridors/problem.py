@@ -257,6 +257,15 @@ class CorridorProblem:
         """Indices (all units, 4) of all walls."""
         return np.concatenate([block.cube for block in self.blocks])
 
+    @cached_property
+    def parts(self) -> tuple[tuple[int, ...], ...]:
+        """Numbers of blocks in parts that never meet, whatever is chosen."""
+        part, table = np.arange(len(self.blocks)), self.separations
+        pairs = np.stack([table.first, table.second], axis=-1)[~table.obstacle]
+        for first, second in np.unique(pairs, axis=0).tolist():
+            part[part == part[second]] = part[first]
+        return tuple(tuple(np.flatnonzero(part == own).tolist()) for own in dict.fromkeys(part.tolist()))
+
     @property
     def impossible(self) -> IntArray:
         """Separations that no choice satisfies."""
@@ -273,6 +282,17 @@ class CorridorProblem:
     def objective(self, z: FloatArray) -> float:
         """Value of eq. (4)."""
         return self.reference_cost(z) + float(self.linear @ z)
+
+    def part_objective(self, z: FloatArray, part: Sequence[int]) -> float:
+        """Value of eq. (4) of some blocks alone."""
+        own = self.indices(part)
+        squares = self.quadratic[own] @ (z[own] - self.reference[own]) ** 2
+        return float(squares + self.linear[own] @ z[own])
+
+    def indices(self, part: Sequence[int]) -> IntArray:
+        """Indices of all variables of some blocks."""
+        blocks = [self.blocks[number] for number in part]
+        return np.concatenate([np.concatenate([b.pivot[1:].ravel(), b.cube.ravel()]) for b in blocks])
 
     def reference_cost(self, z: FloatArray) -> float:
         """Value of eq. (3), weighted, alone."""

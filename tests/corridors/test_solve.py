@@ -349,3 +349,27 @@ def test_the_printed_formulation_stays_available(intersection: Callable[..., Any
         a, b = first.cubes_m, second.cubes_m
         apart = np.max([a[:, 0] - b[:, 1], b[:, 0] - a[:, 1], a[:, 2] - b[:, 3], b[:, 2] - a[:, 3]], axis=0)
         assert apart.min() >= 0.3 - 1e-6
+
+
+def beside(near: Any, far: Any) -> Any:
+    """Two cases in one window."""
+    participants = (*near.scenario.participants, *far.scenario.participants)
+    scenario = replace(near.scenario, participants=participants)
+    return replace(near, scenario=scenario, guidance=(*near.guidance, *far.guidance))
+
+
+@pytest.mark.parametrize("seed", range(8))
+@pytest.mark.parametrize("far_vehicles", [1, 3])
+def test_vehicles_far_away_change_nothing_for_the_others(
+    seed: int, far_vehicles: int, crossing: Callable[..., Any], transformed: Callable[..., Any]
+) -> None:
+    near = crossing(seed, vehicles=3)
+    names = {str(number): f"far_{number}" for number in range(1, 4)}
+    far = transformed(crossing(seed + 40, vehicles=far_vehicles), 1, (300.0, 0.0), names)
+    alone, elsewhere, both = (case.solved(mode="fast") for case in (near, far, beside(near, far)))
+    assert len(both.corridors) == 3 + far_vehicles
+    assert both.objective == pytest.approx(alone.objective + elsewhere.objective, rel=1e-6, abs=1e-4)
+    for own, same in zip((*alone.corridors, *elsewhere.corridors), both.corridors, strict=True):
+        assert own.vehicle_id == same.vehicle_id
+        # Two of one priority may share the room between them in more than one way.
+        np.testing.assert_allclose(same.pivots_m, own.pivots_m, atol=1e-3)
