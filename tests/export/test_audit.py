@@ -196,6 +196,7 @@ def test_the_html_report_shows_every_serious_encounter_and_repeats() -> None:
     audit = crash()
     text = audit_html(audit)
     assert text == audit_html(crash())
+    assert "12.7 m/s² or more" in text
     assert text.startswith("<!DOCTYPE html>")
     assert "<script" not in text
     assert not re.search(r'(?:src|href)="(?:https?:)?//', text)

@@ -6,6 +6,7 @@ from typing import Any
 
 import polars as pl
 
+from istc_replay.config import HARDEST_BRAKING_MPS2
 from istc_replay.export.audit.links import Links
 from istc_replay.export.audit.pictures import Recording, draw_encounter
 from istc_replay.export.figures import figure_bytes
@@ -76,14 +77,20 @@ def _figures(row: Row, own: pl.DataFrame, links: Links) -> Html:
             ("Least gap", number(row["least_gap_m"], 2, "m")),
             ("Least TTC", number(row["least_ttc_s"], 2, "s")),
             ("PET", number(row["least_pet_s"], 2, "s")),
-            ("Most DRAC", number(row["most_drac_mps2"], 1, "m/s²")),
-            ("Required braking", number(row["most_required_mps2"], 1, "m/s²")),
+            ("Most DRAC", _braking(row["most_drac_mps2"])),
+            ("Required braking", _braking(row["most_required_mps2"])),
             ("Least headway", number(row["least_thw_s"], 2, "s")),
             ("TET, TIT", f"{number(row['tet_s'], 1, 's')}, {number(row['tit_s2'], 2, 's²')}"),
             ("Change of speed in a collision", f"{' and '.join(changes)} m/s"),
             ("To the instant", links.of(worst) if worst else None),
         ]
     )
+
+
+def _braking(value: float | None) -> str:
+    """A deceleration; the hardest that a car can is told as that or more."""
+    more = " or more" if value is not None and value >= HARDEST_BRAKING_MPS2 else ""
+    return number(value, 1, "m/s²") + more
 
 
 def _picture(recording: Recording, row: Row, k: int) -> Html | None:
