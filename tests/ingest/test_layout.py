@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from google.protobuf import descriptor_pb2, descriptor_pool, message_factory
+from google.protobuf.message import DecodeError
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from mcap_ros2._dynamic import serialize_dynamic
@@ -126,6 +127,27 @@ def test_damaged_protobuf_is_refused_where_the_reference_library_refuses_it(
             continue  # ours may pass over damage in what is not wanted
         if row not in bad:
             assert (decoded.rows == row).sum() == len(message.parts)
+
+
+def test_of_many_messages_those_that_are_cut_are_refused_and_no_other_is_touched() -> None:
+    # So many of so many sizes that their fields are found all at once, one message behind the other.
+    random = np.random.default_rng(6)
+    messages = [
+        TYPE(name=f"n{k}", noise=random.bytes(int(random.integers(0, 200))), parts=[{"x": float(k), "i": k}])
+        for k in range(400)
+    ]
+    payloads = [message.SerializeToString() for message in messages]
+    cut = set(random.choice(400, 40, replace=False).tolist())
+    for row in cut:
+        payloads[row] = payloads[row][:-1]
+        with pytest.raises(DecodeError):
+            TYPE.FromString(payloads[row])
+    decoded = decode(ProtobufDecoder(TYPE, MAPPING, Budget(10**9)), payloads)
+    assert {row for row, _ in decoded.bad} == cut
+    whole = [row for row in range(400) if row not in cut]
+    assert decoded.rows.tolist() == whole
+    assert plain(decoded, "x") == [float(row) for row in whole]
+    assert plain(decoded, "name") == [f"n{row}" for row in whole]
 
 
 def test_parts_that_stand_twice_are_merged_as_protobuf_says() -> None:

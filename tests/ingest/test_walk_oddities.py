@@ -4,9 +4,22 @@ from __future__ import annotations
 
 import struct
 
+import pytest
 import zstandard
 
-from ..support.mcap_bytes import CHANNEL, MESSAGE, chunk, codes, file_of, make, record, text, top_level, walk
+from ..support.mcap_bytes import (
+    CHANNEL,
+    MESSAGE,
+    T0_NS,
+    chunk,
+    codes,
+    file_of,
+    make,
+    record,
+    text,
+    top_level,
+    walk,
+)
 
 
 def test_records_that_run_past_their_chunk_end_it_after_what_is_whole() -> None:
@@ -29,6 +42,31 @@ def test_a_channel_declared_twice_holds_from_where_it_stands() -> None:
     assert [message[0] for message in messages] == ["/x", "/x", "/y"]
     assert codes(log) == {"channel_conflict"}
     assert {channel.topic: count for channel, count in log.counts.items()} == {"/x": 2, "/y": 1}
+
+
+def test_in_a_chunk_too_a_channel_holds_for_the_messages_behind_it() -> None:
+    content = CHANNEL + MESSAGE + MESSAGE + CHANNEL.replace(b"/x", b"/y") + MESSAGE
+    log, messages = walk(file_of(chunk(content, len(content), "")))
+    assert [message[0] for message in messages] == ["/x", "/x", "/y"]
+    assert codes(log) == {"channel_conflict"}
+
+
+@pytest.mark.parametrize("head", [b"\0" + bytes(8), b"\0" + struct.pack("<Q", 3) + b"abc"])
+def test_a_record_of_no_kind_ends_its_chunk_after_what_is_whole(head: bytes) -> None:
+    content = CHANNEL + MESSAGE + head + MESSAGE
+    log, messages = walk(file_of(chunk(content, len(content), "")))
+    assert len(messages) == 1
+    assert codes(log) == {"chunk_damaged"}
+    assert not log.complete
+
+
+def test_a_time_that_fits_no_clock_is_given_and_does_not_stretch_the_log() -> None:
+    far = record(0x05, struct.pack("<HIQQ", 1, 8, 2**64 - 1, 2**64 - 1) + b"{}")
+    log, messages = walk(file_of(CHANNEL, MESSAGE, far))
+    assert [message[1] for message in messages] == [T0_NS, 2**64 - 1]
+    assert (log.start_ns, log.end_ns) == (T0_NS, T0_NS)
+    alone, _ = walk(file_of(CHANNEL, far))
+    assert (alone.start_ns, alone.end_ns, alone.message_count) == (None, None, 1)
 
 
 def test_missing_schemas_and_bad_text_are_told() -> None:

@@ -106,6 +106,32 @@ def test_single_vehicles_are_judged(rule: str, columns: dict[str, Any], severity
     assert (rule, severity, ["a"]) in findings(audit)
 
 
+@pytest.mark.parametrize("way", [1.0, -1.0])
+def test_braking_is_slowing_down_whichever_way_a_vehicle_drives(way: float) -> None:
+    braking, starting = np.clip(14.0 - 7.0 * (T - 4.0), 0.0, 14.0), np.clip(7.0 * (T - 4.0), 0.0, 14.0)
+    for speed, rules in ((braking, {"braking"}), (starting, set())):
+        x, v = drive(way * speed)
+        found = audit_log(log_of(recorded("a", T, x_m=x, speed_mps=v)), Config()).findings
+        assert set(found["rule"]) & {"braking"} == rules
+        if rules:
+            assert found.filter(pl.col("rule") == "braking")["value"].max() == pytest.approx(7.0, abs=0.3)
+
+
+@pytest.mark.parametrize(("overlap_m", "certain"), [(0.3, True), (0.005, False)])
+def test_an_overlap_within_the_sampling_bound_is_a_possible_collision(
+    overlap_m: float, certain: bool
+) -> None:
+    # 10 Hz: each is known to 10 * 0.1^2 / 8 = 0.0125 m between its samples.
+    aside = 1.9 - overlap_m
+    log = log_of(
+        recorded("a", T, x_m=8.0 * T - 40.0, y_m=aside, speed_mps=8.0),
+        recorded("b", T, x_m=0.0, speed_mps=0.0),
+    )
+    (detail,) = audit_log(log, Config()).findings.filter(pl.col("rule") == "gap")["detail"]
+    assert ("collision: the boxes overlap by more than the sampling bound of 0.025 m" in detail) == certain
+    assert ("possible collision: within the sampling bound" in detail) != certain
+
+
 def test_turning_is_judged_by_lateral_acceleration_yaw_rate_and_the_bicycle() -> None:
     assert findings(audit_log(log_of(bend("a", 40.0, 13.0)), Config())) == []
     fast = audit_log(log_of(bend("a", 40.0, 15.0)), Config())
