@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import polars as pl
 
 from istc_replay.errors import IstcReplayError
-from istc_replay.export.rerun.stage import Anchor
+from istc_replay.export.rerun.spans import WHOLE
 from istc_replay.export.rerun.view import Opening, new_recording, recording_id
 from istc_replay.export.rerun.viewer import close_recording, connected, send_live, send_view
 from istc_replay.windows import window_spans
@@ -34,7 +34,7 @@ class LiveView:
     def __init__(self, url: str) -> None:
         self._url = url
         self._recording: rr.RecordingStream | None = None
-        self._anchor = Anchor()
+        self._anchor = WHOLE
         self.lost = ""
 
     def window(self, log: Log, config: Config, outcome: WindowOutcome) -> None:
@@ -77,7 +77,7 @@ class LiveView:
     def _end(self) -> None:
         if self._recording is not None:
             self._recording.disconnect()
-        self._recording, self._anchor = None, Anchor()
+        self._recording, self._anchor = None, WHOLE
 
     def _lose(self, error: IstcReplayError) -> None:
         self.lost = str(error)

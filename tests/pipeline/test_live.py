@@ -12,7 +12,7 @@ from rerun.chunk import RrdReader
 
 from istc_replay.config import Config
 from istc_replay.export.rerun import viewer as rerun_viewer
-from istc_replay.export.rerun.stage import Anchor
+from istc_replay.export.rerun.spans import Anchor
 from istc_replay.export.sample_log import sample_bytes
 from istc_replay.pipeline import live as pipeline_live
 from istc_replay.pipeline.live import LiveView

@@ -15,8 +15,10 @@ import numpy as np
 import polars as pl
 
 from istc_replay.export.rerun.clearance import Clearance, Leasts, add_leasts, closest_pairs
+from istc_replay.export.rerun.ground import height_of_second, tower_shares
 from istc_replay.export.rerun.slots import Presence, presence, slots
-from istc_replay.export.rerun.stage import Span, Stage, height_of_second, tower_shares
+from istc_replay.export.rerun.spans import Span
+from istc_replay.export.rerun.stage import Stage
 
 #: So many vehicles are shown in full.
 LEADING = 12

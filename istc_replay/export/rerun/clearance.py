@@ -8,7 +8,8 @@ import numpy as np
 
 from istc_replay.datatypes import FloatArray
 from istc_replay.export.rerun.chunks import IntArray
-from istc_replay.export.rerun.stage import Span, Stage
+from istc_replay.export.rerun.spans import Span
+from istc_replay.export.rerun.stage import Stage
 from istc_replay.export.rerun.tracks import Track
 from istc_replay.safety.boxes import box_gap
 

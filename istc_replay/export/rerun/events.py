@@ -14,7 +14,8 @@ from istc_replay.export.rerun.clearance import Clearance
 from istc_replay.export.rerun.findings import findings_lines
 from istc_replay.export.rerun.markdown import ROWS, cut
 from istc_replay.export.rerun.plots import manoeuvres
-from istc_replay.export.rerun.stage import Span, Stage
+from istc_replay.export.rerun.spans import Span
+from istc_replay.export.rerun.stage import Stage
 
 _LEVELS = {
     "INFO": rr.TextLogLevel.INFO,

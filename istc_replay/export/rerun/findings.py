@@ -14,7 +14,8 @@ from istc_replay.export.colours import LANE, Colour
 from istc_replay.export.rerun.cast import SEVERITIES
 from istc_replay.export.rerun.chunks import at_height, each, entity, label, same, shown, ui_radius
 from istc_replay.export.rerun.markdown import escaped, number, table
-from istc_replay.export.rerun.stage import Span, Stage
+from istc_replay.export.rerun.spans import Span
+from istc_replay.export.rerun.stage import Stage
 
 _LEVELS = {"critical": "CRITICAL", "serious": "ERROR", "minor": "WARN"}
 _COLOURS: dict[str, Colour] = {"critical": (220, 50, 40), "serious": (230, 110, 20), "minor": (190, 150, 20)}

@@ -25,7 +25,8 @@ from istc_replay.datatypes import FloatArray
 from istc_replay.export.colours import LANE, PALETTE, Colour
 from istc_replay.export.rerun.chunks import FOREVER_NS, IntArray, each, entity, ragged, same, shown, static
 from istc_replay.export.rerun.clearance import HORIZON_M, Clearance
-from istc_replay.export.rerun.stage import Span, Stage, greyed
+from istc_replay.export.rerun.spans import Span
+from istc_replay.export.rerun.stage import Stage, greyed
 from istc_replay.export.rerun.tracks import Track
 
 STOP_MPS = 0.3

@@ -13,7 +13,8 @@ from istc_replay.export.rerun.chunks import FOREVER_NS, each, entity, label, sam
 from istc_replay.export.rerun.clearance import HORIZON_M, Clearance, least_by_vehicle
 from istc_replay.export.rerun.findings import findings_text
 from istc_replay.export.rerun.markdown import escaped, number, table
-from istc_replay.export.rerun.stage import Span, Stage
+from istc_replay.export.rerun.spans import Span
+from istc_replay.export.rerun.stage import Stage
 
 
 def report_chunks(stage: Stage, found: list[Clearance]) -> list[Chunk]:

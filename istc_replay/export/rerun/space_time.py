@@ -19,7 +19,8 @@ from istc_replay.export.rerun.chunks import (
     ui_radius,
 )
 from istc_replay.export.rerun.slots import place
-from istc_replay.export.rerun.stage import Root, Span, Stage, local_cubes, local_points
+from istc_replay.export.rerun.spans import Span
+from istc_replay.export.rerun.stage import Root, Stage, local_cubes, local_points
 from istc_replay.geometry import rotate
 
 FILL = rr.components.FillMode

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 import polars as pl
@@ -14,6 +13,8 @@ from istc_replay.config import Config, ViewConfig, parse_config
 from istc_replay.datatypes import FloatArray, Frame, Result
 from istc_replay.export.colours import Colour, vehicle_colours
 from istc_replay.export.rerun.chunks import FOREVER_NS, Clock, IntArray, label, quaternions
+from istc_replay.export.rerun.ground import Ground, height_of_second, tower_shares
+from istc_replay.export.rerun.spans import WHOLE, Anchor, Span, make_clock, make_spans
 from istc_replay.export.rerun.tracks import Track, make_track
 from istc_replay.geometry import rotate, to_map
 
@@ -24,83 +25,6 @@ Root = tuple[str, ...]
 _FARTHEST_M = 1e8
 _GREY = 150
 _MARGIN_M = 2.0
-_TOWER = 0.4
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Span:
-    """A window as shown: until `shown_end_ns`, where the next window may begin before its end."""
-
-    index: int
-    start_ns: int
-    end_ns: int
-    shown_end_ns: int
-    units: int
-    frame: Frame
-    summary: dict[str, Any]
-
-    @property
-    def duration_s(self) -> float:
-        """Length of the window [s]."""
-        return (self.end_ns - self.start_ns) / 1e9
-
-
-@dataclass(frozen=True, slots=True)
-class Anchor:
-    """What the parts of a result have in common, that is still being made or too long to be held at once.
-
-    Parameters
-    ----------
-    origin_ns, origin_m
-        Where the whole result's `scenario_time` and the view's places begin; None: with its first window.
-    from_ns, until_ns
-        Starts of the first window here and of the window after the last one: what is before and
-        after belongs to other parts. None where there is none.
-    first_unit
-        Number of its first time unit.
-    metres_per_second
-        Height of a second; None: as the scene wants.
-    """
-
-    origin_ns: int | None = None
-    origin_m: tuple[float, float] | None = None
-    from_ns: int | None = None
-    until_ns: int | None = None
-    first_unit: int = 0
-    metres_per_second: float | None = None
-
-
-def _spans(windows: list[dict[str, Any]], until_ns: int) -> tuple[Span, ...]:
-    ordered = sorted(windows, key=lambda w: (w["start_ns"], w["index"]))
-    nexts = [*(w["start_ns"] for w in ordered), until_ns][1:]
-    return tuple(
-        Span(
-            index=w["index"],
-            start_ns=w["start_ns"],
-            end_ns=w["end_ns"],
-            shown_end_ns=min(w["end_ns"], following),
-            units=max(1, w["units"]),
-            frame=Frame(**w["frame"]),
-            summary=w,
-        )
-        for w, following in zip(ordered, nexts, strict=True)
-    )
-
-
-def _clock(spans: tuple[Span, ...], states: pl.DataFrame, anchor: Anchor) -> Clock:
-    if not spans:
-        first = int(states["time_ns"].to_numpy().min(initial=FOREVER_NS)) if states.height else 0
-        return Clock(first, np.array([first], dtype=np.int64))
-    starts = [
-        s.start_ns + (s.end_ns - s.start_ns) * np.arange(s.units, dtype=np.int64) // s.units for s in spans
-    ]
-    shown = [unit[unit < s.shown_end_ns] for unit, s in zip(starts, spans, strict=True)]
-    origin = spans[0].start_ns if anchor.origin_ns is None else anchor.origin_ns
-    units = np.concatenate([*shown, [spans[-1].end_ns]]).astype(np.int64)
-    return Clock(origin, units, anchor.first_unit)
-
-
-# --- the stage -------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,7 +54,7 @@ class Stage:
     guidance: dict[tuple[int, str], Track]
     names: dict[str, str]
     grounds: dict[int, Ground]
-    anchor: Anchor = Anchor()
+    anchor: Anchor = WHOLE
     plots_all: bool = True
     closest: tuple[tuple[str, str], ...] = ()
     starring: frozenset[str] = frozenset()
@@ -241,7 +165,7 @@ def greyed(colour: Colour) -> Colour:
     return (red + _GREY) // 2, (green + _GREY) // 2, (blue + _GREY) // 2
 
 
-def make_stage(result: Result, view: ViewConfig, anchor: Anchor = Anchor()) -> Stage:
+def make_stage(result: Result, view: ViewConfig, anchor: Anchor = WHOLE) -> Stage:
     """Lay a result out for the view; `anchor` where it is a part of a larger one.
 
     Raises
@@ -251,7 +175,7 @@ def make_stage(result: Result, view: ViewConfig, anchor: Anchor = Anchor()) -> S
     """
     config = parse_config(result.config_toml, f"{result.path}: config.toml")
     until_ns = FOREVER_NS if anchor.until_ns is None else anchor.until_ns
-    spans = _spans(result.summary["windows"], until_ns)
+    spans = make_spans(result.summary["windows"], until_ns)
     placed = pl.all_horizontal(pl.col("x_m", "y_m").abs() < _FARTHEST_M)
     states = result.states.filter(placed & pl.col("heading_rad").is_finite())
     origin = anchor.origin_m or _origin(spans, states)
@@ -278,7 +202,7 @@ def make_stage(result: Result, view: ViewConfig, anchor: Anchor = Anchor()) -> S
     stage = Stage(
         result=result,
         config=config,
-        clock=_clock(spans, states, anchor),
+        clock=make_clock(spans, states, anchor),
         spans=spans,
         origin_m=origin,
         metres_per_second=1.0,
@@ -337,20 +261,6 @@ def local_points(stage: Stage, table: pl.DataFrame, points_m: FloatArray) -> Flo
 # --- the ground of a window -------------------------------------------------------------------
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Ground:
-    """The rectangle that a window's scene covers: centre and half sizes (2,) [m], turned by yaw_rad."""
-
-    centre_m: FloatArray
-    half_m: FloatArray
-    yaw_rad: float
-
-    def points(self, shares: ArrayLike, out_m: float = 0.0) -> FloatArray:
-        """Points (P, 2) at shares (P, 2) of the half sizes, each moved out by `out_m` more."""
-        across = np.asarray(shares, dtype=np.float64)
-        return rotate(across * (self.half_m + out_m), self.yaw_rad) + self.centre_m
-
-
 def _ground(stage: Stage, span: Span) -> Ground:
     """What a window's scene covers, with a margin, along the axes of its corridor frame."""
     table = stage.result.corridors.filter(pl.col("window") == span.index)
@@ -368,14 +278,3 @@ def _ground(stage: Stage, span: Span) -> Ground:
     own = rotate(found, -yaw)
     low, high = own.min(axis=0) - _MARGIN_M, own.max(axis=0) + _MARGIN_M
     return Ground(rotate((low + high) / 2.0, yaw), (high - low) / 2.0, yaw)
-
-
-def tower_shares(spans: tuple[Span, ...], grounds: dict[int, Ground]) -> list[float]:
-    """By window the height of a second that makes its tower 0.4 of the mean side of its ground [m]."""
-    sides = [2.0 * float(np.sqrt(grounds[span.index].half_m.prod())) for span in spans]
-    return [_TOWER * side / span.duration_s for side, span in zip(sides, spans, strict=True)]
-
-
-def height_of_second(shares: list[float]) -> float:
-    """A second's height [m]: that of the middle window's tower, with two digits, so that it can be read."""
-    return float(f"{np.median(shares):.1e}") if shares else 1.0

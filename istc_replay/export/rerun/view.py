@@ -35,7 +35,8 @@ from istc_replay.export.rerun.now import now_chunks
 from istc_replay.export.rerun.plots import plot_chunks
 from istc_replay.export.rerun.report import report_chunks
 from istc_replay.export.rerun.space_time import space_time_chunks
-from istc_replay.export.rerun.stage import Anchor, Stage, make_stage
+from istc_replay.export.rerun.spans import WHOLE, Anchor
+from istc_replay.export.rerun.stage import Stage, make_stage
 from istc_replay.export.rerun.vehicles import vehicle_chunks
 
 APPLICATION_ID = "istc-replay"
@@ -53,7 +54,7 @@ def lay_out(
     result: Result,
     config: ViewConfig,
     focus: Sequence[str] = (),
-    anchor: Anchor = Anchor(),  # noqa: B008
+    anchor: Anchor = WHOLE,
 ) -> tuple[Stage, list[Clearance]]:
     """Lay a result out for the view, and measure its clearances.
 
@@ -93,7 +94,7 @@ def laid_out(
 
 def _stages(result: Result, config: ViewConfig, parts: Parts) -> Iterator[Stage]:
     starts = sorted(window["start_ns"] for window in result.summary["windows"])
-    anchor = Anchor()
+    anchor = WHOLE
     for number, part in enumerate(parts()):
         own = [window["start_ns"] for window in part.summary["windows"]]
         following = bisect_right(starts, max(own, default=0))

@@ -20,7 +20,7 @@ import rerun as rr
 from istc_replay.config import ViewConfig
 from istc_replay.datatypes import Result
 from istc_replay.errors import ExportError
-from istc_replay.export.rerun.stage import Anchor
+from istc_replay.export.rerun.spans import Anchor
 from istc_replay.export.rerun.view import (
     Opening,
     Parts,
