@@ -102,10 +102,11 @@ class TrajectoryPlanner:
         if found is None:
             soft = self._soften(task, margin, records)
             out = self._excess(task, soft)
+            kept = soft.solved and soft.slack_m <= _TOUCHING_M
             # The soft solution kept the margin as well: what is short of that may fit without it.
-            if out.max() <= max(margin, _NEARLY_INSIDE_M):
-                kept = margin if soft.slack_m <= _TOUCHING_M else 0.0
-                found = self._drive(task, kept, (soft.states, soft.controls), records, insist=True)
+            if kept or out.max() <= max(margin, _NEARLY_INSIDE_M):
+                guess = soft.states, soft.controls
+                found = self._drive(task, margin if kept else 0.0, guess, records, insist=True)
             if found is None:
                 return TrajectoryOutcome(None, _diagnosis(task, soft, out), tuple(records))
         trajectory = _trajectory(task, found.states, found.controls, found.costs)

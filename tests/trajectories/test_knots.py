@@ -45,8 +45,11 @@ class PlannersBothWays(Planners):
         return BothWays(scenario.window.unit_s, self.kept)
 
 
-def random_course(seed: int) -> Any:
-    """A bend of random curvature and speed in cubes of random width, its pivotal points off the path."""
+def random_course(seed: int, wander_m: float = 0.0) -> Any:
+    """A bend of random curvature and speed in cubes of random width, its pivotal points off the path.
+
+    With `wander_m`, cubes go with pivotal points that wander away from it, so that not all can be driven.
+    """
     random = np.random.default_rng(seed)
     bends, phase = random.uniform(-0.1, 0.1, 2), random.uniform(0.0, 6.0)
     slower, unit_s = random.uniform(0.0, 2.0), float(random.choice([0.5, 1.0]))
@@ -56,6 +59,7 @@ def random_course(seed: int) -> Any:
         8,
         unit_s,
     )
+    pivots[1:] += np.cumsum(random.normal(0.0, 1.0, (8, 2)), axis=0) * wander_m
     course = courses.course_along(pivots, headings, 5.0, room_m=random.uniform(0.0, 1.0), unit_s=unit_s)
     course.pivots[1:] += random.normal(0.0, 0.2, (8, 2))
     return course
@@ -69,6 +73,41 @@ def test_random_corridors_are_driven_as_by_ipopt_alone(seed: int) -> None:
     assert led.trajectory.cost == pytest.approx(alone.trajectory.cost, rel=1e-4, abs=1e-4)
     assert led.trajectory.states == pytest.approx(alone.trajectory.states, abs=0.02)
     assert sum(r.iterations for r in led.records) < 0.5 * sum(r.iterations for r in alone.records)
+
+
+def test_walls_that_the_soft_twin_keeps_at_the_knots_are_moved_until_they_hold_between_them() -> None:
+    course = random_course(85, wander_m=0.8)
+    outcome = courses.plan(course, LED)
+    assert [r.stage for r in outcome.records] == ["nlp", "soft", "nlp", "nlp"]
+    assert outcome.records[0].status is SolveStatus.INFEASIBLE
+    assert courses.least_margin_m(outcome.trajectory, course) > -1e-6
+    assert outcome.trajectory.cost <= courses.planned(course, ALONE).cost * 1.001
+
+
+@pytest.mark.slow
+def test_whom_ipopt_alone_can_drive_quadratic_programmes_lead_too() -> None:
+    planners = {
+        (config.quadratic_passes, unit_s): TrajectoryPlanner(config, unit_s)
+        for config in (LED, ALONE)
+        for unit_s in (0.5, 1.0)
+    }
+    driven, costs = [], []
+    for seed in range(120):
+        course = random_course(seed, wander_m=0.8)
+        pair = [
+            courses.plan(course, config, planners[config.quadratic_passes, course.unit_s]).trajectory
+            for config in (LED, ALONE)
+        ]
+        driven.append([found is not None for found in pair])
+        if all(driven[-1]):
+            costs.append([found.cost for found in pair])
+    led, alone = np.array(driven).T
+    assert (led >= alone).all()
+    assert 3 < (~alone).sum() < 60
+    # Optima are local: a few differ, to either side.
+    ratios = np.divide(*np.array(costs).T)
+    assert np.quantile(abs(ratios - 1.0), 0.9) < 1e-4
+    assert np.mean(ratios) < 1.01
 
 
 @pytest.mark.parametrize("name", ["intersection_turn_first", "dense_4", "dense_4_obstacles"])
