@@ -28,6 +28,8 @@ WHOLE = whole()
 CHUNKS = places(WHOLE, 0x06)
 MIDDLE = CHUNKS[len(CHUNKS) // 2]
 IN_MIDDLE = in_chunk(WHOLE, MIDDLE[0])
+#: Where the chunk after the next one begins.
+THIRD = CHUNKS[len(CHUNKS) // 2 + 2][0]
 BEFORE_MIDDLE = sum(in_chunk(WHOLE, place) for place, _ in CHUNKS if place < MIDDLE[0])
 FOOTER = len(WHOLE) - len(MAGIC) - 29
 PLAIN = whole(CompressionType.NONE)

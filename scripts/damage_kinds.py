@@ -32,6 +32,7 @@ from damage_files import (
     PLAIN,
     PLAIN_CHUNK,
     PLAIN_FIELDS,
+    THIRD,
     WHOLE,
     cdr_dense,
     channels,
@@ -122,6 +123,12 @@ KINDS = (
         "a record that swallows the next",
         lambda: changed(WHOLE, MID + 1, struct.pack("<Q", MIDDLE[1] + 500)),
         MESSAGES,
+        {"record_damaged"},
+    ),
+    Kind(
+        "a record that swallows two chunks",
+        lambda: changed(WHOLE, MID + 1, struct.pack("<Q", THIRD - MID + 50)),
+        MESSAGES - IN_MIDDLE,
         {"record_damaged"},
     ),
     Kind(

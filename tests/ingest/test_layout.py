@@ -24,6 +24,7 @@ from istc_replay.ingest.scan import Spans, scan
 from istc_replay.ingest.wanted import Mapping
 
 from ..support.logs import decode, plain
+from ..support.mcap_bytes import record
 
 # --- protobuf ------------------------------------------------------------------------------------
 
@@ -305,3 +306,15 @@ def test_a_small_file_cannot_ask_for_much_work() -> None:
     budget.spend(10**6)
     decoded = decode(ProtobufDecoder(TYPE, MAPPING, budget), [b"\x08\x01"])
     assert "more fields than a file of this size may hold" in str(decoded.bad[0][1])
+
+
+def test_a_hint_at_records_that_are_no_messages_is_not_believed() -> None:
+    message, channel = record(0x05, bytes(30)), record(0x04, bytes(8))
+    data = message + message + channel + message
+    hint = np.array([0, 39, 78, 95], np.int64)  # where every record begins
+    assert [len(message), len(channel)] == [39, 17]
+
+    def told(believed: Any) -> list[Any]:
+        return [(opcode, list(map(int, places))) for opcode, places in chunk_records(data, believed)]
+
+    assert told(hint) == told(None) == [(0x05, [0, 39]), (0x04, [87, 95]), (0x05, [95])]

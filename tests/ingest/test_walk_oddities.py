@@ -60,6 +60,15 @@ def test_a_record_of_no_kind_ends_its_chunk_after_what_is_whole(head: bytes) -> 
     assert not log.complete
 
 
+@pytest.mark.parametrize("within_chunk", [False, True])
+def test_a_message_too_short_for_its_head_is_left_out_and_the_others_are_given(within_chunk: bool) -> None:
+    content = CHANNEL + MESSAGE + record(0x05, bytes(21)) + MESSAGE + record(0x05, b"") + MESSAGE
+    log, messages = walk(file_of(chunk(content, len(content), "") if within_chunk else content))
+    assert len(messages) == log.message_count == 3
+    assert codes(log) == {"record_damaged"}
+    assert not log.complete
+
+
 def test_a_time_that_fits_no_clock_is_given_and_does_not_stretch_the_log() -> None:
     far = record(0x05, struct.pack("<HIQQ", 1, 8, 2**64 - 1, 2**64 - 1) + b"{}")
     log, messages = walk(file_of(CHANNEL, MESSAGE, far))
