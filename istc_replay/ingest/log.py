@@ -17,7 +17,7 @@ from istc_replay.ingest.frames import TransformTree, check_frames, to_root
 from istc_replay.ingest.problems import Problems, quoted
 from istc_replay.ingest.records import Channel
 from istc_replay.ingest.road_file import read_road
-from istc_replay.ingest.table import (
+from istc_replay.ingest.states_table import (
     Columns,
     check_times,
     derive_headings,
