@@ -65,7 +65,7 @@ class CorridorsConfig(Section):
     small_crowd_node_budget: Count = 300
     """The same where four vehicles among standing obstacles are tried before seeds."""
     tree_proof_node_budget: Count = 4000
-    """QPs of pivotal points in the tree of eq. (4), certified mode."""
+    """QPs of pivotal points in the tree of eq. (4), certified mode; half as many where groups are bounded."""
     joint_qp_budget: Annotated[int, Field(ge=0)] = 300
     """QPs of points and cubes together in the tree of eq. (4), certified mode."""
     milp_node_budget: Count = 20_000

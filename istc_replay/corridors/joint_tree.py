@@ -21,6 +21,8 @@ from istc_replay.corridors.pivot_qp import Choice, Choices, Part, PivotQp, Pivot
 from istc_replay.corridors.polish import polish, polish_part
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping, Sequence
+
     from istc_replay.corridors.problem import CorridorProblem, IntArray
     from istc_replay.datatypes import FloatArray
 
@@ -35,7 +37,7 @@ _LEAST_SHARE = 1e-3
 #: The search ends at this share of the gap allowed, so that rounding does not decide.
 _GAP_SHARE = 0.95
 #: Variables of a QP that counts as one: pivotal points of eight vehicles for thirteen units.
-_USUAL = 208
+USUAL = 208
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,7 +69,7 @@ def prove(
     tolerance : float
         Relative gap at which the search ends.
     node_budget, joint_budget : int
-        Largest number of QPs of pivotal points, and of points and cubes, of the size of `_USUAL`; of
+        Largest number of QPs of pivotal points, and of points and cubes, of the size of `USUAL`; of
         larger ones, which take more steps of more work, it buys fewer by the fourth power of their size.
     together : int
         Most vehicles of one tree: a bound of each part bounds the whole.
@@ -79,7 +81,7 @@ def prove(
     for part in parts:
         tree = JointTree(problem, qp, part, z, slack)
         size = sum(2 * problem.blocks[vehicle].units for vehicle in part)
-        share = min(1.0, (_USUAL / size) ** 4) / len(parts)
+        share = min(1.0, (USUAL / size) ** 4) / len(parts)
         if len(parts) == 1 and joint_budget:
             tree.try_options(binding_choices(problem, z))
         tree.run(max(1, round(share * node_budget)), round(share * joint_budget))
@@ -98,6 +100,49 @@ class _Open(NamedTuple):
     choice: Choice | None
 
 
+@dataclass(frozen=True, slots=True)
+class Relaxed:
+    """What is left of eq. (4) without a part of eq. (3), at least, if nobody is in the way of anybody.
+
+    `shares` are those of eq. (3) that count in it, `rests` the optimum of each vehicle with each share.
+    """
+
+    shares: tuple[float, ...]
+    rests: tuple[Mapping[int, float], ...]
+
+    @classmethod
+    def of(cls, problem: CorridorProblem, vehicles: Sequence[int], reference_cost: float) -> Relaxed:
+        """Solve the QP without separations with the shares that suit such a value of eq. (3)."""
+        drift = float(np.sqrt(_DRIFT_COST / max(reference_cost, _DRIFT_COST)))
+        return cls.with_shares(problem, vehicles, {1.0, min(1.0, 3.0 * drift), max(drift, _LEAST_SHARE)})
+
+    @classmethod
+    def with_shares(
+        cls, problem: CorridorProblem, vehicles: Sequence[int], shares: Iterable[float]
+    ) -> Relaxed:
+        """Solve the QP without separations with these shares of eq. (3)."""
+        found = []
+        indices = [problem.indices([vehicle]) for vehicle in vehicles]
+        ends = np.cumsum([len(own) for own in indices])
+        for share in sorted(shares):
+            z = polish_part(problem, vehicles, (), share=share)
+            if z is None:
+                continue
+            rests = {}
+            for vehicle, at, own in zip(vehicles, indices, np.split(z, ends[:-1]), strict=True):
+                away = float(problem.quadratic[at] @ (own - problem.reference[at]) ** 2)
+                rests[vehicle] = _rounded_down(share * away + float(problem.linear[at] @ own))
+            found.append((share, rests))
+        return cls(tuple(share for share, _ in found), tuple(rests for _, rests in found))
+
+    def rest(self, vehicles: Sequence[int]) -> list[tuple[float, float]]:
+        """Each share with what is left of some vehicles' eq. (4)."""
+        return [
+            (share, sum(rests[v] for v in vehicles))
+            for share, rests in zip(self.shares, self.rests, strict=True)
+        ]
+
+
 @dataclass(slots=True)
 class JointTree:
     """Search of some vehicles' eq. (4) for what is better than `around` by more than `slack`."""
@@ -111,6 +156,8 @@ class JointTree:
     z: FloatArray | None = None  # a solution better than `around`
     nodes: int = 0
     joint_qps: int = 0
+    relaxed: Relaxed | None = None  # of all vehicles, where it is known
+    clear: PivotSolution | None = None  # the cheapest pivotal points without conflict, once they are found
     _indices: IntArray = field(init=False)  # of these vehicles' variables
     _shares: list[tuple[float, float]] = field(init=False)
     _left: float = np.inf  # least bound of what could not be solved
@@ -123,7 +170,8 @@ class JointTree:
         self._tree = Tree(self.problem, self.qp, self.group, 0, ())
         self._indices = self.problem.indices(self._members)
         self.objective = self._value(self.around)
-        self._shares = self._relaxed()
+        relaxed = self.relaxed or Relaxed.of(self.problem, self._members, self._reference_cost(self.around))
+        self._shares = relaxed.rest(self._members)
         root = self.qp.root(self._members, ())
         if root is not None:
             self._push(self._by_parts(root.cost), root, None)
@@ -150,20 +198,41 @@ class JointTree:
         if z is not None:
             self._offer(polish(self.problem, self.problem.separations.best(z)))
 
+    @property
+    def settled(self) -> bool:
+        """Whether more nodes cannot raise the bound."""
+        return not self._queue or self._queue[0].bound >= min(self.cutoff, self._left)
+
+    def run_to_clear(self, node_budget: int) -> None:
+        """Search, best first, up to pivotal points without conflict, for so many QPs of these."""
+        end = self.nodes + node_budget
+        while not self.settled and self.clear is None and self.nodes < end:
+            solution, choice = self._queue[0].solution, self._queue[0].choice
+            if choice is None and self._tree.worst_conflict(self._tree.slack(solution)) is None:
+                self.clear = solution
+            else:
+                self._step(heapq.heappop(self._queue))
+
     def run(self, node_budget: int, joint_budget: int) -> None:
         """Search, best first, for so many QPs of pivotal points and of points and cubes."""
-        joint_budget += self.joint_qps
+        node_budget, joint_budget = node_budget + self.nodes, joint_budget + self.joint_qps
+        whole = len(self.group) == len(self.problem.blocks)
         while self._queue and self._queue[0].bound < self.cutoff:
+            if not whole and self.settled:
+                return
             if self.nodes >= node_budget or self.joint_qps > joint_budget:
                 return
-            node = heapq.heappop(self._queue)
-            if node.choice is not None:
-                self.nodes += 1
-                child = self.qp.with_option(node.solution, node.choice, self._most())
-                if child is not None:
-                    self._push(max(node.bound, self._by_parts(child.cost)), child, None)
-            else:
-                self._branch(node)
+            self._step(heapq.heappop(self._queue))
+
+    def _step(self, node: _Open) -> None:
+        """Enforce the option that is due, or branch."""
+        if node.choice is None:
+            self._branch(node)
+            return
+        self.nodes += 1
+        child = self.qp.with_option(node.solution, node.choice, self._most())
+        if child is not None:
+            self._push(max(node.bound, self._by_parts(child.cost)), child, None)
 
     def _branch(self, node: _Open) -> None:
         slack = self._tree.slack(node.solution)
@@ -203,18 +272,6 @@ class JointTree:
         if bound < self.cutoff:
             heapq.heappush(self._queue, _Open(bound, next(self._order), solution, choice))
 
-    def _relaxed(self) -> list[tuple[float, float]]:
-        """Shares s of eq. (3), and what the rest of eq. (4) is at least: the QP without separations."""
-        reference_cost = self._reference_cost(self.around)
-        drift = float(np.sqrt(_DRIFT_COST / max(reference_cost, _DRIFT_COST)))
-        found = []
-        for share in sorted({1.0, min(1.0, 3.0 * drift), max(drift, _LEAST_SHARE)}):
-            z = self._spread(polish_part(self.problem, self._members, (), share=share))
-            if z is not None:
-                rest = self._value(z) - (1.0 - share) * self._reference_cost(z)
-                found.append((share, _rounded_down(rest)))
-        return found
-
     def _by_parts(self, reference_cost: float) -> float:
         return max(((1.0 - share) * reference_cost + rest for share, rest in self._shares), default=-np.inf)
 
@@ -241,13 +298,6 @@ class JointTree:
             if found is None:
                 return None
             z[self.problem.indices(part.members)] = found
-        return z
-
-    def _spread(self, own: FloatArray | None) -> FloatArray | None:
-        if own is None:
-            return None
-        z = np.zeros(self.problem.size)
-        z[self._indices] = own
         return z
 
 

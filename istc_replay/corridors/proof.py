@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from istc_replay.corridors import cbc, joint_tree, neighbourhoods
+from istc_replay.corridors.group_proof import GroupProof
 from istc_replay.corridors.incumbent import Search
 from istc_replay.corridors.joint_tree import QP_ROUNDING
 from istc_replay.corridors.miqp import MilpModel, build_milp
@@ -31,6 +32,8 @@ _DRIFT_COST = 0.2
 _LEAST_SHARE = 1e-3
 #: A quick proof has this part of the nodes.
 _QUICK_SHARE = 20
+#: Groups and the neighbourhoods before them have this part of the nodes of a tree of all.
+_GROUPS_SHARE = 2
 #: Probing decides a half of the binaries at most, or little more.
 _PROBED = 3
 
@@ -66,7 +69,9 @@ def improve(search: Search, config: CorridorsConfig) -> None:
     began = time.perf_counter()
     problem = search.problem
     least = problem.least_cubes(search.z)
-    refined, nodes = neighbourhoods.improve(problem, least, config.tree_proof_node_budget // 2, together=2)
+    refined, nodes = neighbourhoods.improve(
+        problem, least, config.tree_proof_node_budget // _GROUPS_SHARE, together=2
+    )
     search.offer(polish(problem, problem.separations.best(refined)), "neighbourhoods")
     search.record(
         "neighbourhoods", "daqp, piqp", SolveStatus.FEASIBLE, began, objective=search.objective, nodes=nodes
@@ -97,6 +102,33 @@ def prove_jointly(search: Search, config: CorridorsConfig, *, quick: bool = Fals
         objective=search.objective,
         nodes=tree.nodes + tree.joint_qps,
         detail=f"{tree.joint_qps} QPs of points and cubes",
+    )
+
+
+def prove_by_groups(search: Search, config: CorridorsConfig) -> None:
+    """Bound eq. (4) by bounds of small groups of vehicles; their plans together may be a new incumbent."""
+    if search.z is None:
+        return
+    began = time.perf_counter()
+    slack = config.gap_tolerance * max(1.0, abs(search.objective))
+    proof = GroupProof(search.problem, search.z, slack, config.group_vehicles_max)
+    proof.run(config.tree_proof_node_budget / _GROUPS_SHARE)
+    proof.put_together()
+    proof.close(config.joint_qp_budget // _GROUPS_SHARE)
+    search.offer(proof.z, "groups")
+    search.bound = max(search.bound, proof.bound)
+    matter = [sorted(group) for group, weight in proof.packing.weights.items() if weight > 0.5]
+    names = [
+        "+".join(search.problem.blocks[vehicle].vehicle_id for vehicle in group) for group in sorted(matter)
+    ]
+    search.record(
+        "groups",
+        "daqp, piqp",
+        SolveStatus.OPTIMAL if search.closed(config.gap_tolerance) else SolveStatus.FEASIBLE,
+        began,
+        objective=search.objective,
+        nodes=proof.nodes + proof.joint_qps,
+        detail=f"{len(proof.trees)} groups bounded, of weight: {', '.join(names) or 'none'}",
     )
 
 

@@ -10,6 +10,7 @@ import numpy as np
 from istc_replay.corridors import proof
 from istc_replay.corridors.formulation import build_problem
 from istc_replay.corridors.incumbent import Search, cramped, fill, follow, gap_between, gives_way, grow_tree
+from istc_replay.corridors.joint_tree import USUAL
 from istc_replay.corridors.paper import PAPER_BIG_M, build_paper_problem
 from istc_replay.corridors.seeded import Seeds, search_seeds
 from istc_replay.datatypes import Conflict, Corridors, SolveStatus
@@ -136,7 +137,10 @@ def _prove(search: Search, scenario: Scenario, config: CorridorsConfig) -> None:
         return
     if not paper and search.z is not None:
         proof.improve(search, config)
-        proof.prove_jointly(search, config)
+        if scenario.traffic or len(problem.pivot_indices) <= USUAL:
+            proof.prove_jointly(search, config)
+        else:
+            proof.prove_by_groups(search, config)
         if search.closed(config.gap_tolerance):
             return
         problem = proof.probe(search, config)

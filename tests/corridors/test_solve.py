@@ -11,6 +11,8 @@ import numpy as np
 import pytest
 
 from istc_replay.corridors.formulation import default_limits
+from istc_replay.corridors.group_proof import GroupProof
+from istc_replay.corridors.groups import search
 from istc_replay.corridors.polish import polish
 from istc_replay.corridors.problem import CONSTANT, CorridorProblem
 from istc_replay.corridors.seeded import Seeds
@@ -103,6 +105,26 @@ def test_the_optimum_of_the_rows_last_written_is_scips_too(seed: int, crossing: 
     assert proven.status is SolveStatus.OPTIMAL
     assert proven.objective == pytest.approx(exact, rel=1e-3, abs=1e-3)
     assert proven.bound <= exact + 1e-5 * max(1.0, abs(exact))
+
+
+@pytest.mark.parametrize("seed", [0, 3, 6, 11, 13, 19])
+def test_groups_of_two_and_of_all_bound_what_scip_finds(seed: int, crossing: Callable[..., Any]) -> None:
+    case = crossing(seed, vehicles=3, units=3, obstacle=seed % 4 == 3)
+    problem, exact = case.problem(), scip_optimum(case.problem())
+    solved = case.solved(frame_rounds=0)
+    if solved.status is SolveStatus.INFEASIBLE:
+        pytest.skip("this crossing has no solution")
+    z = search(problem, 4000).z
+    assert z is not None
+    bounds = []
+    for together in (2, 3):
+        proof = GroupProof(problem, z, 1e-4, together)
+        proof.run(2000)
+        proof.close(500)
+        bounds.append(proof.bound)
+        assert proof.bound <= exact + 1e-5 * max(1.0, abs(exact))
+    assert bounds[1] >= bounds[0] - 1e-3
+    assert exact - bounds[1] <= 0.1 * max(1.0, abs(exact))
 
 
 @pytest.mark.parametrize("seed", [0, 1, 4, 6, 8, 10])
