@@ -20,11 +20,12 @@ from istc_replay.geometry import to_frame, to_map
 from istc_replay.safety.bodies import Body, recorded_bodies
 from istc_replay.safety.case import Case, build_case
 from istc_replay.safety.findings import Finding, make_finding
-from istc_replay.safety.plan import WrittenPlan, written_plans
+from istc_replay.safety.plan import WrittenPlan
 from istc_replay.safety.recorded import Track, recorded_tracks
 from istc_replay.safety.rules import CORRIDOR_RULE
 from istc_replay.safety.vehicle_samples import smoothed_motion
 from istc_replay.safety.walls import wall_margin
+from istc_replay.safety.written_plans import written_plans
 from istc_replay.states import AGAINST_PLAN_SCHEMA, conform
 from istc_replay.units import NS_PER_S, wrap_angle
 

@@ -41,8 +41,9 @@ from istc_replay.safety.motion_checks import (
     start,
 )
 from istc_replay.safety.obstacle_check import obstacles_known
-from istc_replay.safety.plan import WrittenPlan, written_plans
+from istc_replay.safety.plan import WrittenPlan
 from istc_replay.safety.recorded import Track, recorded_tracks
+from istc_replay.safety.written_plans import written_plans
 
 _CHECKS = {
     "cubes_disjoint": cubes_disjoint,

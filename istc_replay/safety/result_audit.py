@@ -15,9 +15,9 @@ from istc_replay.safety.bodies import recorded_bodies
 from istc_replay.safety.certificate import certify_plan
 from istc_replay.safety.clocks import CLOCK_RULES, Clock
 from istc_replay.safety.log_audit import Audit, audit_log
-from istc_replay.safety.plan import written_plans
 from istc_replay.safety.recorded import recorded_tracks
 from istc_replay.safety.solver_record import with_solver_record
+from istc_replay.safety.written_plans import written_plans
 from istc_replay.states import CERTIFICATES_SCHEMA, STATES_SCHEMA, conform
 from istc_replay.units import seconds_to_ns
 

@@ -13,9 +13,9 @@ from istc_replay.config import Config, parse_config
 from istc_replay.datatypes import StaticScene
 from istc_replay.safety.boxes import box_gap
 from istc_replay.safety.case import Case, build_case
-from istc_replay.safety.plan import written_plans
 from istc_replay.safety.sweep import Least, least_gap, moving_bodies, standing_bodies
 from istc_replay.safety.walls import least_inside, wall_margin
+from istc_replay.safety.written_plans import written_plans
 
 from ..support.bicycles import DENSE, Car, random_car, straight_car
 from ..support.written import Scene

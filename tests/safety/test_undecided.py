@@ -15,7 +15,7 @@ from istc_replay.safety.case import Case, build_case
 from istc_replay.safety.cube_checks import cubes_overlap
 from istc_replay.safety.motion import integrate
 from istc_replay.safety.motion_checks import dynamics, in_corridor, obstacle_separation, separation
-from istc_replay.safety.plan import written_plans
+from istc_replay.safety.written_plans import written_plans
 
 from ..support.bicycles import Car, straight_car
 from ..support.judged import FAIL, INCONCLUSIVE, PASS, edited, judge, knot
