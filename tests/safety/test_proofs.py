@@ -208,3 +208,56 @@ def test_nothing_to_look_at_is_told_as_such() -> None:
     assert least_gap(bodies, None, case.motion.edges_s, 0.0, 0.0) == Least()
     assert least_gap(bodies, standing_bodies(case.obstacles_m), case.motion.edges_s, 0.0, 0.0) == Least()
     assert least_inside(case.motion, np.full_like(case.walls_m, np.nan), 0.0) == Least()
+
+
+def swinging(heading: float) -> Car:
+    """A car whose corners, seven metres ahead of its rear axle, are pulled sideways hard."""
+    first = np.array([0.0, 0.0, heading, 1.0, 3.0, 0.0])
+    return Car("a", first, np.zeros((5, 2)), 0.2, dimensions=(2.0, 1.0, 1.0, 6.0))
+
+
+def dip_m(car: Car) -> float:
+    """How much higher a corner comes between the instants that are looked at first than at them."""
+    highest = car.corners()[..., 1].max(axis=1)
+    return float(highest.max() - highest[:: DENSE // 2].max())
+
+
+def test_a_corner_that_swings_out_between_two_instants_is_found() -> None:
+    car = max((swinging(heading) for heading in np.linspace(-np.pi, np.pi, 81)), key=dip_m)
+    dip = dip_m(car)
+    assert dip > 0.13  # else the test tests nothing
+    walls = car.hulls(1.0, 1.0)
+    walls[0, 3] = car.corners()[..., 1].max() - dip / 5.0
+    truth = wall_margin(car.boxes(), walls[0]).min()
+    assert truth == pytest.approx(-dip / 5.0)
+    config = parse_config("[certificate]\nstep_s = 0.2\ntolerance_m = 1e-2")
+    case = case_of(Scene([car], cubes={"a": walls}), config)
+    assert case.motion.judged.all()
+    assert case.motion.nodes.shape[2] == 3
+    least = least_inside(case.motion, case.walls_m[case.walled_row], 1e-2)
+    assert least.proven <= truth + 1e-3
+    assert least.found < -1e-2
+
+
+def test_a_corner_that_comes_down_on_a_wall_as_the_plan_ends_is_found() -> None:
+    # It turns on the spot, nearly, and its corner is at full speed when it comes to the wall.
+    rate, reach = 0.5 * np.tan(1.0) / 0.2, np.hypot(6.0, 1.0) / 2.0
+    heading = -np.arctan2(1.0, 6.0) - 0.2 * rate
+    car = Car(
+        "a", np.array([0.0, 0.0, heading, 1.0, 0.5, 0.0]), np.zeros((1, 2)), 0.2, 0, (6.0, 1.0, 0.2, 0.0)
+    )
+    end = car.corners()[-1, 0]
+    scene = Scene([car], unit_s=0.2)
+    scene.obstacles = {"wall": np.array([[end[0] - 0.1, 9.0, end[1] - 0.1, 9.0]])}
+    wall = [(end[0] + 8.9) / 2.0, (end[1] + 8.9) / 2.0, 0.0, 9.1 - end[0], 9.1 - end[1]]
+    truth = box_gap(car.boxes(), np.array(wall))
+    middle = truth[len(truth) // 2]
+    assert truth.argmin() == len(truth) - 1
+    assert truth.min() < -0.02
+    assert middle > 0.25 * rate * reach * 0.2  # at half its speed it would not come so far
+    case = case_of(scene)
+    least = least_gap(
+        moving_bodies(case.motion), standing_bodies(case.obstacles_m), case.motion.edges_s, 0.0, 0.0
+    )
+    assert least.proven <= truth.min() + 1e-6
+    assert least.found < 0.0
