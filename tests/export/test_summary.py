@@ -7,7 +7,7 @@ import math
 from typing import Any
 
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from istc_replay.export.summary import summary_text
@@ -19,6 +19,7 @@ values = st.recursive(
 )
 
 
+@settings(deadline=None)
 @given(st.dictionaries(st.text(), values, max_size=5))
 def test_it_is_json_of_the_same_values(summary: dict[str, Any]) -> None:
     assert json.loads("".join(summary_text(summary))) == summary

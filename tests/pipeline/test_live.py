@@ -12,6 +12,7 @@ from rerun.chunk import RrdReader
 
 from istc_replay.config import Config
 from istc_replay.export.rerun import viewer as rerun_viewer
+from istc_replay.export.rerun.events import arrivals
 from istc_replay.export.rerun.spans import Anchor
 from istc_replay.export.sample_log import sample_bytes
 from istc_replay.pipeline import live as pipeline_live
@@ -104,6 +105,8 @@ def test_windows_of_a_growing_result_lie_in_one_time_and_place(
     assert [span.shown_end_ns for span in spans[:-1]] == [span.start_ns for span in spans[1:]]
     assert [anchor.until_ns is not None for _, anchor in parts] == [True, True, False]
     assert [stage.first_ns for stage, _ in parts] == [span.start_ns for span in spans]
+    # How long each vehicle stays is not known yet.
+    assert [arrivals(stage) for stage, _ in parts] == [[], [], []]
     # Windows that begin in the middle of the recorded conflict have no plan.
     assert parts[0][0].result.states.filter(pl.col("source") == "planned").height
 

@@ -65,15 +65,12 @@ def lay_out(
     ConfigError
         If the result's configuration cannot be read by this version.
     """
-    stage = make_stage(result, config, anchor)
-    return _measured(stage, focus, Survey())
-
-
-def _measured(stage: Stage, focus: Sequence[str], whole: Survey) -> tuple[Stage, list[Clearance]]:
-    """A stage with its leading vehicles, and its clearances, which are added to the whole."""
+    stage, whole = make_stage(result, config, anchor), Survey()
     found = clearances(stage)
     whole.add(stage, found)
-    return cast(stage, found, focus, whole), found
+    stage = cast(stage, found, focus, whole)
+    # Who comes when, and into which slot, is not known of what is still being made.
+    return stage if anchor == Anchor() else replace(stage, presence={}, slots={}), found
 
 
 def laid_out(

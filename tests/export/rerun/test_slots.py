@@ -8,7 +8,7 @@ from typing import Any
 
 import polars as pl
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from rerun.chunk import RrdReader
 
@@ -35,6 +35,7 @@ def test_few_vehicles_have_entities_of_their_own() -> None:
 spans = st.lists(st.tuples(st.integers(0, 60), st.integers(0, 20)), min_size=1, max_size=40)
 
 
+@settings(deadline=None)
 @given(spans)
 def test_nobody_shares_a_slot_with_somebody_who_is_there(lengths: list[tuple[int, int]]) -> None:
     presence = {str(n): (first, first + length) for n, (first, length) in enumerate(lengths)}
