@@ -27,7 +27,17 @@ def apart_m(
     begin: int,
     end: int,
 ) -> FloatArray:
-    """Distance of two cars' boxes along their axes (M,) [m] from unit `begin` to `end`; negative: overlap."""
+    """Distance of two cars' boxes along their axes (M,) [m] from unit `begin` to `end`; negative: overlap.
+
+    Parameters
+    ----------
+    first, second : Participant
+        The cars.
+    guide, other : Guidance
+        Their motions, in the same order; both sampled at the same instants.
+    begin, end : int
+        Units of the window, both cars present in all of them.
+    """
 
     def part(participant: Participant, guidance: Guidance) -> FloatArray:
         per_unit = (len(guidance.poses) - 1) // participant.units

@@ -67,10 +67,23 @@ def build_scenario(
 ) -> Scenario:
     """Build the scenario of one window.
 
-    With `unit_s` unset the time unit is the configured one, in traffic the calm one where the
-    recording has no conflict at it. `users` are those of the part, where they are known already; `handed`
-    vehicles start where the plan of the window before has led them. `bounds` keeps lateral bounds (map
-    frame) for other time units. `frame` is the corridor frame where it is not to be chosen.
+    Parameters
+    ----------
+    part : LogPart
+        What the log tells of the window.
+    config : Config
+        The settings in force.
+    unit_s : float, optional
+        Length of a time unit [s]; otherwise the configured one, in traffic the calm one where the
+        recording has no conflict at it.
+    users : mapping, optional
+        The road users of the part by name, where they are known already.
+    handed : mapping, optional
+        By name the vehicles that start where the plan of the window before has led them.
+    bounds : dict, optional
+        Keeps lateral bounds (map frame) by name, for other time units.
+    frame : Frame, optional
+        The corridor frame, where it is not to be chosen.
     """
     known: dict[str, LateralBound] = {} if bounds is None else bounds
     if users is None:

@@ -38,6 +38,13 @@ def test_every_command_is_in_the_readme() -> None:
         assert f"istc-replay {name}" in README
 
 
+def test_every_module_of_the_package_itself_is_in_the_architecture() -> None:
+    package = ROOT / "istc_replay"
+    names = [path.name for path in package.glob("*.py") if not path.name.startswith("__")]
+    names += [f"{path.parent.name}/" for path in package.glob("*/__init__.py")]
+    assert [name for name in names if f"`{name}`" not in DOCS["architecture.md"]] == []
+
+
 @pytest.mark.parametrize("equation", range(1, 20))
 def test_every_equation_has_a_row(equation: int) -> None:
     row = next(line for line in DOCS["equations.md"].splitlines() if line.startswith(f"| ({equation}) |"))

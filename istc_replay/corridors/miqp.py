@@ -97,10 +97,12 @@ def build_milp(problem: CorridorProblem, *, big_m: float | None = None) -> MilpM
 
 
 def linear_sum(variables: Sequence[Any], weights: Sequence[float]) -> Any:
+    """The weighted sum of Pyomo variables, as one expression."""
     return LinearExpression(constant=0, linear_coefs=list(weights), linear_vars=list(variables))
 
 
 def add_variables(model: Any, indices: Sequence[int], lower: FloatArray, upper: FloatArray) -> None:
+    """Declare the variables z at some indices, within their bounds [m]."""
     model.z = pyo.Var(indices, bounds=lambda _, i: (float(lower[i]), float(upper[i])), doc="eq. (1)")
 
 
@@ -125,6 +127,19 @@ def _add_rows(model: Any, rows: Rows) -> None:
 def add_separations(
     model: Any, separations: Separations, lower: FloatArray, upper: FloatArray, big_m: float | None
 ) -> None:
+    """Declare eq. (5) and (6): four rows a separation, of which a binary says which one holds.
+
+    Parameters
+    ----------
+    model : pyomo.environ.ConcreteModel
+        Has its variables z.
+    separations : Separations
+        What to keep apart, by which options.
+    lower, upper : (n,) arrays
+        Bounds of z [m], from which the least M of each row follows.
+    big_m : float, optional
+        One M for all rows [m], as printed.
+    """
     possible = separations.possible
     pairs = [(int(d), int(o)) for d, o in np.argwhere(possible)]
     model.delta = pyo.Var(pairs, within=pyo.Binary, doc="delta of eq. (5), (6)")

@@ -66,6 +66,19 @@ def search(
 
     Nodes are expanded sixteen at a time by steps of 1.2 m at five curvatures, those first whose cost
     and lower bound of what is left (the larger of Dubins' and the grid's) are least.
+
+    Parameters
+    ----------
+    start, goal : (3,) arrays
+        x, y, heading of the rear axle [m, rad].
+    space : Space
+        Where the car fits, and its turning radius.
+    grid : DistanceGrid, optional
+        Tells lower bounds of the way to the goal; Dubins' alone otherwise.
+    budget : int
+        Nodes to expand at most.
+    limit_m : float
+        Paths of this length [m] or more are of no use.
     """
     tree = _Tree([start], [0.0], [-1], [(0, 0, 0)], {(0, 0, 0): 0.0})
     best, best_node, nodes, stop_at = limit_m, -1, 0, budget

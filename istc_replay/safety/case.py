@@ -135,6 +135,25 @@ def certificate_of(
     The check fails where the margin found is below -allowed (strict: not above it), and passes
     only where the margin proven is not, and everything was judged. What is neither is
     inconclusive. Where there was nothing to look at, the check is not applicable.
+
+    Parameters
+    ----------
+    case : Case
+        The plan that is judged.
+    check : str
+        Name of the check.
+    least : Least
+        The least margins found and proven.
+    vehicles, detail : tuple of str, str
+        Whom the check is about, and what is said of the least margin.
+    unjudged : tuple of str
+        Who could not be judged.
+    allowed : float
+        Rounding allowed, in `unit`.
+    strict : bool
+        Whether a margin of -allowed itself fails.
+    unit : str
+        Unit of the margins.
     """
     below, above = (np.less_equal, np.greater) if strict else (np.less, np.greater_equal)
     window = case.plan.index

@@ -66,7 +66,21 @@ def encounter_rows(
     times_ns: IntArray,
     audit: AuditConfig,
 ) -> list[dict[str, object]]:
-    """Rows of ENCOUNTERS_SCHEMA; `times_ns` are the common times."""
+    """Rows of ENCOUNTERS_SCHEMA.
+
+    Parameters
+    ----------
+    groups : list of Group
+        One an encounter.
+    pairs, left : Pairs, Encroachments
+        What was sampled of all pairs, and the places that one left to the other.
+    bodies : list of Body
+        Who was recorded.
+    times_ns : (n,) array
+        The common times of all bodies [ns].
+    audit : AuditConfig
+        The thresholds.
+    """
     measures = {
         rule: judged_values(pairs, rule, audit)
         for rule in ("ttc", "drac", "required_deceleration", "thw", "rss")

@@ -56,9 +56,28 @@ def make_finding(
     bodies: list[Body],
     spans: list[IntArray],
 ) -> Finding:
-    """A finding of behaviour; `level` is one of the rule's thresholds, `times` start, worst and end.
+    """A finding of behaviour.
 
     What makes it less than certain is told in its detail; doubtful data make it inconclusive.
+
+    Parameters
+    ----------
+    rule, audit : Rule, AuditConfig
+        What was measured, and the thresholds.
+    level : int
+        Which of the rule's thresholds was passed, from 0 on.
+    who : tuple of int
+        Rows of the bodies.
+    times : tuple of int
+        Start, worst and end [ns].
+    place : tuple of float
+        x and y where it was worst [m, map frame].
+    value, detail : float, str
+        The worst value, in the rule's unit, and what else is known of it.
+    bodies : list of Body
+        Who was recorded.
+    spans : list of (n, 2) arrays
+        Spans of doubtful data of each body [ns].
     """
     severity, threshold, source = rule.thresholds(audit)[level]
     notes = [detail] if detail else []

@@ -132,7 +132,21 @@ def encroachment_findings(
     period_ns: float,
     audit: AuditConfig,
 ) -> list[Finding]:
-    """Findings of post-encroachment times; positive where the first named body was there first."""
+    """Findings of post-encroachment times; positive where the first named body was there first.
+
+    Parameters
+    ----------
+    left, pairs : Encroachments, Pairs
+        The places that one left to the other, and what was sampled of the pairs.
+    bodies : list of Body
+        Who was recorded.
+    spans : list of (n, 2) arrays
+        Spans of doubtful data of each body [ns].
+    period_ns : float
+        Median step of the common times [ns].
+    audit : AuditConfig
+        The thresholds.
+    """
     seconds = (left.later_ns - left.earlier_ns) / NS_PER_S
     levels = np.array([level for _, level, _ in PET_RULE.thresholds(audit)])
     bridge = longest_bridge_ns(period_ns, audit)

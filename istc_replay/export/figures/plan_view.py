@@ -109,10 +109,12 @@ def _view(scene: WindowScene) -> View:
 
 
 def set_view(axes: Axes, view: View) -> None:
+    """Show a rectangle of the plane at one scale both ways."""
     axes.set(xlim=view[:2], ylim=view[2:], xlabel="x [m]", ylabel="y [m]", aspect="equal")
 
 
 def draw_ground(axes: Axes, scene: WindowScene) -> None:
+    """Draw what stands: lane lines, the road's edges, standing obstacles."""
     if len(scene.lanes_m):
         axes.plot(*scene.lanes_m.T, color=GRID, linewidth=3.0, zorder=0.6)
     if len(scene.edges_m):
