@@ -151,17 +151,26 @@ def test_a_gap_that_is_widest_in_the_middle_is_bounded_by_the_accelerations() ->
     assert least.found == pytest.approx(truth, abs=1e-3)
 
 
-def test_a_pair_that_is_far_in_the_middle_of_a_step_is_not_left_out() -> None:
+@pytest.mark.parametrize(
+    ("apart_m", "speed_mps", "far_m"),
+    # Two that stand beside each other all the time, and two that come nearer to each other by the end.
+    [(10.0, 5.0, 20.0), (7.0, 10.0, 29.0)],
+)
+def test_a_pair_that_is_far_in_the_middle_of_a_step_is_not_left_out(
+    apart_m: float, speed_mps: float, far_m: float
+) -> None:
     cars = [
         straight_car("a", 0.0, 0.0, 0.0, 0.0, 1, 1.0),
-        straight_car("b", 0.0, 10.0, 0.0, 0.0, 1, 1.0),  # 8.1 m from a, all the time
-        straight_car("c", 100.0, 0.0, 0.0, 5.0, 1, 1.0),
-        straight_car("d", 120.0, 0.0, np.pi, 5.0, 1, 1.0),  # 5.5 m from c, at the end
+        straight_car("b", 0.0, apart_m, 0.0, 0.0, 1, 1.0),
+        straight_car("c", 100.0, 0.0, 0.0, speed_mps, 1, 1.0),
+        straight_car("d", 100.0 + far_m, 0.0, np.pi, speed_mps, 1, 1.0),
     ]
+    gap = far_m - 2.0 * speed_mps - 4.5
+    assert gap < apart_m - 1.9
     case = case_of(Scene(cars))
     least = least_gap(moving_bodies(case.motion), None, case.motion.edges_s, 0.0, 0.0)
     assert (least.first, least.second) == (2, 3)
-    assert least.found == pytest.approx(5.5, abs=1e-3)
+    assert least.found == pytest.approx(gap, abs=1e-3)
 
 
 def test_knots_a_rounding_off_a_boundary_are_on_it() -> None:
@@ -239,25 +248,27 @@ def test_a_corner_that_swings_out_between_two_instants_is_found() -> None:
     assert least.found < -1e-2
 
 
-def test_a_corner_that_comes_down_on_a_wall_as_the_plan_ends_is_found() -> None:
+@pytest.mark.parametrize("overlap_m", [0.1, 3e-4])
+@pytest.mark.parametrize("ahead_m", [0.0, 4.0])
+def test_a_corner_that_comes_down_on_a_wall_as_the_plan_ends_is_found(
+    ahead_m: float, overlap_m: float
+) -> None:
     # It turns on the spot, nearly, and its corner is at full speed when it comes to the wall.
-    rate, reach = 0.5 * np.tan(1.0) / 0.2, np.hypot(6.0, 1.0) / 2.0
-    heading = -np.arctan2(1.0, 6.0) - 0.2 * rate
-    car = Car(
-        "a", np.array([0.0, 0.0, heading, 1.0, 0.5, 0.0]), np.zeros((1, 2)), 0.2, 0, (6.0, 1.0, 0.2, 0.0)
-    )
-    end = car.corners()[-1, 0]
+    rate = 0.5 * np.tan(1.0) / 0.2
+    heading = -np.arctan2(0.5, 3.0 + ahead_m) - 0.2 * rate
+    first = np.array([0.0, 0.0, heading, 1.0, 0.5, 0.0])
+    car = Car("a", first, np.zeros((1, 2)), 0.2, 0, (6.0, 1.0, 0.2, ahead_m))
+    x, y = car.corners()[-1, 0]
     scene = Scene([car], unit_s=0.2)
-    scene.obstacles = {"wall": np.array([[end[0] - 0.1, 9.0, end[1] - 0.1, 9.0]])}
-    wall = [(end[0] + 8.9) / 2.0, (end[1] + 8.9) / 2.0, 0.0, 9.1 - end[0], 9.1 - end[1]]
-    truth = box_gap(car.boxes(), np.array(wall))
-    middle = truth[len(truth) // 2]
+    scene.obstacles = {"wall": np.array([[x - overlap_m, x + 9.0, y - overlap_m, y + 9.0]])}
+    middle = 4.5 - overlap_m / 2.0
+    wall = np.array([x + middle, y + middle, 0.0, 9.0 + overlap_m, 9.0 + overlap_m])
+    truth = box_gap(car.boxes(), wall)
     assert truth.argmin() == len(truth) - 1
-    assert truth.min() < -0.02
-    assert middle > 0.25 * rate * reach * 0.2  # at half its speed it would not come so far
+    assert -1.3 * overlap_m < truth.min() < -0.5 * overlap_m
+    assert truth[len(truth) // 2] > 0.4
     case = case_of(scene)
     least = least_gap(
         moving_bodies(case.motion), standing_bodies(case.obstacles_m), case.motion.edges_s, 0.0, 0.0
     )
-    assert least.proven <= truth.min() + 1e-6
-    assert least.found < 0.0
+    assert least.proven <= truth.min() + 1e-9
