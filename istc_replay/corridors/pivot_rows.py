@@ -71,7 +71,7 @@ class PivotMatrix:
     """The watched rows of some vehicles, and below them room for those of options.
 
     `columns` are the vehicles' own of all columns, `local` the way back. `place` says where variables
-    and watched rows stand among those of all vehicles.
+    and watched rows stand among those of all vehicles, `numbers` (room, 1) counts the options' rows.
     """
 
     rows: FloatArray
@@ -81,6 +81,7 @@ class PivotMatrix:
     columns: IntArray
     local: IntArray
     place: IntArray
+    numbers: IntArray
     watched: int
 
     def with_options(self, tied: TiedRows) -> tuple[FloatArray, FloatArray, FloatArray, NDArray[np.int32]]:
@@ -90,7 +91,7 @@ class PivotMatrix:
         if count:
             below = rows[self.watched :]
             below[:] = 0.0
-            below[np.arange(count)[:, None], self.local[tied.column]] = tied.weight
+            below[self.numbers[:count], self.local[tied.column]] = tied.weight
             self.lower[own : own + count] = tied.lower
         return rows, self.upper[: own + count], self.lower[: own + count], self.sense[: own + count]
 
@@ -129,7 +130,8 @@ class PivotRows:
         self._columns = len(root)
         #: Number of all variables and rows.
         self.count = self._columns + sum(len(own.rows) for own in self._own)
-        self._matrices: dict[tuple[int, ...], PivotMatrix] = {}
+        self._watched = 0  # rows of all vehicles
+        self._matrices: dict[tuple[int, ...], tuple[PivotMatrix, int]] = {}  # with what was watched then
         self._checks: dict[tuple[int, ...], _Check] = {}
 
     def missed(self, members: tuple[int, ...], y: FloatArray) -> bool:
@@ -138,20 +140,24 @@ class PivotRows:
         missed = check.missed(y)
         if not missed.any():
             return False
-        new = 0
+        before = self._watched
         for vehicle, rows in zip(members, check.rows, strict=True):
-            own = self._own[vehicle]
-            watched = np.union1d(own.watched, np.flatnonzero(missed[rows]))
-            new += len(watched) - len(own.watched)
-            own.watched = watched
-        return new > 0
+            if missed[rows].any():
+                own = self._own[vehicle]
+                watched = np.union1d(own.watched, np.flatnonzero(missed[rows]))
+                self._watched += len(watched) - len(own.watched)
+                own.watched = watched
+        return self._watched > before
 
     def matrix(self, members: tuple[int, ...], tied: int) -> PivotMatrix:
         """The rows of some vehicles that are watched at present, with room for `tied` rows of options."""
+        known, seen = self._matrices.get(members, (None, 0))
+        if known is not None and seen == self._watched and len(known.rows) >= known.watched + tied:
+            return known
         own = [self._own[v] for v in members]
         count = sum(len(o.watched) for o in own)
-        known = self._matrices.get(members)
         if known is not None and known.watched == count and len(known.rows) >= count + tied:
+            self._matrices[members] = known, self._watched
             return known
         columns = np.concatenate([o.columns for o in own])
         size, room = len(columns), max(_ROOM, 2 * tied)
@@ -172,9 +178,11 @@ class PivotRows:
             for sides in ([(o, o.lower) for o in own], [(o, o.upper) for o in own])
         )
         place = np.concatenate([columns, *(o.rows[o.watched] for o in own)])
-        sense = np.zeros(len(lower), dtype=np.int32)
-        found = PivotMatrix(rows, np.maximum(lower, -_UNBOUNDED), upper, sense, columns, local, place, count)
-        self._matrices[members] = found
+        sense, numbers = np.zeros(len(lower), dtype=np.int32), np.arange(room)[:, None]
+        found = PivotMatrix(
+            rows, np.maximum(lower, -_UNBOUNDED), upper, sense, columns, local, place, numbers, count
+        )
+        self._matrices[members] = found, self._watched
         return found
 
     def _check(self, members: tuple[int, ...]) -> _Check:
