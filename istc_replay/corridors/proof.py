@@ -30,6 +30,8 @@ _GAP_SHARE = 0.25
 #: times s. It decides how good a bound is, not whether it is one.
 _DRIFT_COST = 0.2
 _LEAST_SHARE = 1e-3
+#: Where eq. (3) is at least this, the QP of all of it bounds less than the one of a share.
+_FAR_COST = 20.0
 #: A quick proof has this part of the nodes.
 _QUICK_SHARE = 20
 #: Groups and the neighbourhoods before them have this part of the nodes of a tree of all.
@@ -48,8 +50,11 @@ def bound_by_parts(search: Search) -> None:
     problem, reference_bound = search.problem, search.reference_bound
     shares = [1.0]
     if reference_bound > _DRIFT_COST:
-        shares.append(max(float(np.sqrt(_DRIFT_COST / reference_bound)), _LEAST_SHARE))
+        shares.insert(0, max(float(np.sqrt(_DRIFT_COST / reference_bound)), _LEAST_SHARE))
+    far = reference_bound > _FAR_COST and len(problem.separations)
     for share in shares:
+        if share == 1.0 and far and np.isfinite(search.bound):
+            continue
         z = polish(problem, None, share=share)
         if z is None:
             continue
