@@ -75,7 +75,7 @@ class Lattice:
         self._moves = moves
         self.first_unit, self.units = participant.first_unit, participant.units
         self.stops, self._overlap_max_m = stops, overlap_max_m
-        self._goes_on = participant.goes_on
+        self._goes_on, self.handed = participant.goes_on, participant.ahead is not None
         self._cost = self._costs(guide, obstacles, gap_m, weight, unit_s)
         lengths = np.array([path.length_m for path in moves.paths])
         longer = np.maximum(lengths - lengths[0], 0.0)

@@ -24,6 +24,8 @@ _MOST_OTHERS = 4
 _PATIENCE = 4
 #: Motions of another for which it is kept by which moves it is met.
 _KEPT = 4
+#: Cars that were handed over may seem so much nearer to each other in so many units [m].
+_SEAM_M, _SEAM_UNITS = 0.5, 3
 
 
 @dataclass(slots=True)
@@ -48,6 +50,15 @@ class Repair:
 
     def __post_init__(self) -> None:
         self._random = np.random.default_rng(self.seed)
+        # Where the plan before has led cars close to each other, places of half a metre keep them less apart
+        # than they are: what is missed there is layer 1's to mend.
+        for pair in combinations([n for n, lattice in enumerate(self.lattices) if lattice.handed], 2):
+            self._wider_m[pair] = np.zeros(self._units)
+            self._wider_m[pair][:_SEAM_UNITS] = -_SEAM_M
+
+    @property
+    def _units(self) -> int:
+        return max(lattice.first_unit + lattice.units for lattice in self.lattices)
 
     def run(self, budget: int, improvements: int) -> bool:
         """Repair within `budget` rounds, then improve; False where conflicts are left or no way is found.
@@ -89,8 +100,7 @@ class Repair:
     def keep_apart(self, first: int, second: int, unit: int, more_m: float) -> None:
         """Have two vehicles keep more than the gap in a unit: layer 1 finds them nearer than here."""
         pair = min(first, second), max(first, second)
-        units = max(lattice.first_unit + lattice.units for lattice in self.lattices)
-        wider = self._wider_m.setdefault(pair, np.zeros(units))
+        wider = self._wider_m.setdefault(pair, np.zeros(self._units))
         wider[unit] += more_m
         self._planned.clear()
         for key in (pair, pair[::-1]):
