@@ -285,6 +285,8 @@ def test_eulers_paper_mode_follows_the_printed_update_and_says_that_it_drifts() 
 
 def test_nothing_is_printed(capfd: pytest.CaptureFixture[str]) -> None:
     courses.plan(courses.s_bend(units=2))
+    jump = np.column_stack([np.arange(9) * 5.0, np.where(np.arange(9) < 5, 0.0, 4.0)])
+    courses.plan(courses.course_along(jump, np.zeros(9), 5.0, slack_rad=0.05))
     captured = capfd.readouterr()
     assert captured.out == ""
     assert captured.err == ""
