@@ -69,6 +69,11 @@ def dense_motion(
     return states, np.stack([yaw_rate[:, ::4], slope[:, ::4]], axis=-1), spacing
 
 
+def in_a_row(dense: FloatArray) -> FloatArray:
+    """States (M, 6) of a `dense_motion` (S-1, m+1, 6) one after the other, those between intervals once."""
+    return np.vstack([dense[:, :-1].reshape(-1, 6), dense[-1, -1]])
+
+
 def _simpson(values: FloatArray, spacing_s: float) -> FloatArray:
     """Running integral over rows one after the other; (n, 2m+1) values give (n, m+1) integrals."""
     panels = spacing_s / 6 * (values[:, :-2:2] + 4 * values[:, 1::2] + values[:, 2::2])

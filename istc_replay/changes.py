@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from istc_replay.apart import lateral_excursion_m
-from istc_replay.bicycle import dense_motion
+from istc_replay.bicycle import dense_motion, in_a_row
 from istc_replay.datatypes import Change, FloatArray, Guidance, Trajectory, Window
 from istc_replay.geometry import box_poses
 from istc_replay.guidance.path import Path
@@ -82,7 +82,7 @@ def _planned_poses(trajectory: Trajectory, times_s: FloatArray) -> FloatArray:
     dense, _, spacing_s = dense_motion(
         trajectory.states[0], trajectory.controls, step_s, size.wheelbase_m, longest_s
     )
-    states = np.vstack([dense[:, :-1].reshape(-1, 6), dense[-1, -1]])
+    states = in_a_row(dense)
     at = trajectory.times_s[0] + np.arange(len(states)) * spacing_s
     columns = box_poses(states, size.rear_axle_to_centre_m).T
     return np.stack([np.interp(times_s, at, column) for column in columns], axis=-1)

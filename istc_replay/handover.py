@@ -16,7 +16,7 @@ from istc_replay.datatypes import (
     WindowPlan,
     read_only,
 )
-from istc_replay.geometry import shift_along, to_frame, to_map
+from istc_replay.geometry import box_poses, to_frame, to_map
 from istc_replay.units import NS_PER_S, wrap_angle
 
 #: Rounding in times [s].
@@ -59,16 +59,13 @@ def handed_over(before: WindowPlan | None, start_ns: int) -> dict[str, Handed]:
         state = state_at(trajectory, at_s)
         if state is None:
             continue
-        x, y, heading, steering, speed, acceleration = state
-        centre = shift_along(x, y, heading, trajectory.dimensions.rear_axle_to_centre_m)
-        pose = read_only([*to_map(centre, frame), heading + frame.yaw_rad])
+        _, _, _, steering, speed, acceleration = state
+        x, y, heading = box_poses(state, trajectory.dimensions.rear_axle_to_centre_m)
+        pose = read_only([*to_map([x, y], frame), heading + frame.yaw_rad])
         later = trajectory.times_s > at_s + _INSTANT_S
-        states = trajectory.states[later]
-        points = shift_along(
-            states[:, 0], states[:, 1], states[:, 2], trajectory.dimensions.rear_axle_to_centre_m
-        )
+        poses = box_poses(trajectory.states[later], trajectory.dimensions.rear_axle_to_centre_m)
         ahead = np.column_stack(
-            [trajectory.times_s[later] - at_s, to_map(points, frame), states[:, 2] + frame.yaw_rad]
+            [trajectory.times_s[later] - at_s, to_map(poses[:, :2], frame), poses[:, 2] + frame.yaw_rad]
         )
         ahead = read_only(np.vstack([[0.0, *pose], ahead]))
         found[trajectory.vehicle_id] = Handed(pose, speed, steering, acceleration, ahead)

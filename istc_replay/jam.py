@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from istc_replay.geometry import shift_along
+from istc_replay.geometry import box_poses, shift_along
 from istc_replay.guidance.path import Path
 
 if TYPE_CHECKING:
@@ -23,13 +23,12 @@ def jammed(plan: WindowPlan) -> bool:
     """
     ends, ways, sizes = [], [], []
     for participant, trajectory in zip(plan.scenario.participants, plan.trajectories, strict=True):
-        x, y, heading = trajectory.states[-1, :3]
         size = trajectory.dimensions
-        pose = np.array([*shift_along(x, y, heading, size.rear_axle_to_centre_m), heading])
+        pose = box_poses(trajectory.states[-1], size.rear_axle_to_centre_m)
         way = np.empty((0, 3))
         if participant.goes_on and participant.route is not None:
             path = Path.through(participant.route.poses[:, :2], participant.route.poses[:, 2])
-            arc = path.place(pose[:2], float(heading)) + np.arange(_STEP_M, _AHEAD_M + _STEP_M, _STEP_M)
+            arc = path.place(pose[:2], float(pose[2])) + np.arange(_STEP_M, _AHEAD_M + _STEP_M, _STEP_M)
             way = path.at(arc[arc <= path.length_m])
         ends.append(pose)
         ways.append(way)

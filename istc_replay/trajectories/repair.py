@@ -14,7 +14,7 @@ from dataclasses import dataclass, replace
 import casadi as ca
 import numpy as np
 
-from istc_replay.bicycle import dense_motion
+from istc_replay.bicycle import dense_motion, in_a_row
 from istc_replay.config import TrajectoriesConfig
 from istc_replay.datatypes import (
     FloatArray,
@@ -25,7 +25,7 @@ from istc_replay.datatypes import (
     Trajectory,
     read_only,
 )
-from istc_replay.geometry import shift_along, to_frame, to_map
+from istc_replay.geometry import box_poses, shift_along, to_frame, to_map
 from istc_replay.trajectories.collocation import interval_end
 from istc_replay.trajectories.knots import SOLVERS, KnotNlp
 from istc_replay.trajectories.mapped import STATES, Model, Rows
@@ -222,14 +222,14 @@ def _motion(
 ) -> RepairedMotion:
     size, recording, first_s = participant.dimensions, participant.recording, float(tracked[0][0])
     dense, _, spacing_s = dense_motion(start, controls, step_s, size.wheelbase_m, _STEP_S / _SUBSTEPS)
-    states = np.vstack([dense[:, :-1].reshape(-1, 6), dense[-1, -1]])
+    states = in_a_row(dense)
     states[:, :2] += origin_m
     per_interval = dense.shape[1] - 1
-    centres = shift_along(states[:, 0], states[:, 1], states[:, 2], size.rear_axle_to_centre_m)
+    poses = box_poses(states, size.rear_axle_to_centre_m)
     times = np.asarray(first_s + np.arange(len(states)) * spacing_s, dtype=np.float64)
     if participant.approach is None:
         tracked = recording.times_s, recording.poses[:, :2]
-    off = np.asarray(centres) - np.asarray(_at(*tracked, times))
+    off = poses[:, :2] - np.asarray(_at(*tracked, times))
     knots = Trajectory(
         vehicle_id=participant.vehicle_id,
         dimensions=size,
@@ -238,8 +238,7 @@ def _motion(
         controls=read_only(controls),
         cost=0.0,
     )
-    poses = read_only(np.column_stack([centres, states[:, 2]]))
-    return RepairedMotion(knots, read_only(times), poses, float(np.hypot(*off.T).max()))
+    return RepairedMotion(knots, read_only(times), read_only(poses), float(np.hypot(*off.T).max()))
 
 
 def _at(times_s: FloatArray, points_m: FloatArray, at_s: FloatArray) -> FloatArray:
