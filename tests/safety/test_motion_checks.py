@@ -130,6 +130,16 @@ def test_the_speed_limit_rises_with_the_recorded_speed() -> None:
     assert check.margin == pytest.approx(11.35 - 12.0)
 
 
+def test_of_limits_in_different_units_that_which_is_nearest_in_its_parts_is_told() -> None:
+    # 0.3 rad of 0.6 are half of the steering; 0.5 m/s of 10 are a twentieth of the speed.
+    first = np.array([0.0, 0.0, 0.0, 0.3, 9.5, 0.0])
+    result = Scene([Car("a", first, np.zeros((5, 2)), 0.2)]).result()
+    check = judge(without(result, "states", pl.col("source") == "recorded"))["limits"]
+    assert (check.verdict, check.unit) == (PASS, "m/s")
+    assert check.margin == pytest.approx(0.5)
+    assert check.detail.startswith("speed nearest its limits 0 to 10 m/s")
+
+
 def test_who_was_recorded_fast_before_the_window_may_not_be_fast_in_it() -> None:
     fast = Scene([straight_car("a", 0, 0, 0, 12.0, 10)]).result()
     slow = edited(fast, "states", pl.col("source") == "recorded", speed_mps=9.0)
