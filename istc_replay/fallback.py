@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from istc_replay.arrival import late_text, late_vehicles
 from istc_replay.datatypes import (
     SOUND,
     Corridor,
@@ -22,7 +23,6 @@ from istc_replay.datatypes import (
 )
 from istc_replay.guidance.build import build_guidance
 from istc_replay.handover import handed_over, held, units_since
-from istc_replay.rounds import late_text, late_vehicles
 from istc_replay.scenario import build_scenario
 from istc_replay.trajectories.nlp import COSTS
 from istc_replay.trajectories.task import Task

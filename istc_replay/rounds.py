@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from istc_replay.apart import driven_through
+from istc_replay.arrival import distance_left_m, drawn_home, late_text, late_vehicles
 from istc_replay.bicycle import dense_motion
 from istc_replay.corridors.formulation import default_limits
 from istc_replay.corridors.seeded import Seeds
@@ -16,17 +16,18 @@ from istc_replay.corridors.solve import bounded, find_corridors, prove_corridors
 from istc_replay.datatypes import ARRIVED_M, SolveStatus, WindowPlan, WindowStatus
 from istc_replay.field import Field, least_cover
 from istc_replay.geometry import shift_along
-from istc_replay.guidance.build import STANDING_MPS
 from istc_replay.lateral import ROAD, lateral
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Sequence
 
     from istc_replay.config import Config, CorridorsConfig
     from istc_replay.corridors.incumbent import Search
     from istc_replay.corridors.problem import Limits
     from istc_replay.datatypes import (
+        Corridor,
         Corridors,
+        Guidance,
         Lateral,
         LateralBound,
         Participant,
@@ -124,8 +125,7 @@ class Rounds:
         outcomes = self._trajectories(corridors)
         undrivable = tuple(o.undrivable for o in outcomes if o.undrivable is not None)
         found = tuple(o.trajectory for o in outcomes if o.trajectory is not None)
-        # Goals are a scene's: of traffic only a part of each way is in the window.
-        late = {} if undrivable or self.ready.scenario.traffic else self._late(found)
+        late = {} if undrivable else self._late(found)
         if undrivable or late:
             self.stuck = self.leave_the_tree()
             if self.stuck:
@@ -195,7 +195,9 @@ class Rounds:
         return True
 
     def _late(self, found: Sequence[Trajectory]) -> dict[str, float]:
-        return late_vehicles(self.ready.scenario.participants, found)
+        """Vehicles that end beside their goals; of traffic only a part of each way is in the window."""
+        scenario = self.ready.scenario
+        return {} if scenario.traffic else late_vehicles(scenario.participants, found)
 
     def _corridors(self) -> Corridors:
         self.progress("corridors" if self.round == 1 else f"corridors, round {self.round}")
@@ -223,11 +225,24 @@ class Rounds:
         ):
             key = (participant.vehicle_id, corridor.cubes_m.tobytes() + corridor.pivots_m.tobytes())
             if key not in self._known:
-                self._known[key] = self.planner.plan(participant, corridor, guide, self.fastest_mps)
-                self.records += self._known[key].records
+                self._known[key] = self._driven(participant, corridor, guide)
             outcomes.append(self._known[key])
         self.seconds["trajectories"] += time.perf_counter() - began
         return outcomes
+
+    def _driven(self, participant: Participant, corridor: Corridor, guide: Guidance) -> TrajectoryOutcome:
+        """Layer 2 of one vehicle; who would end beside its goal is held there, where it can be."""
+        outcome = self.planner.plan(participant, corridor, guide, self.fastest_mps)
+        self.records += outcome.records
+        found = outcome.trajectory
+        if found is None or self.ready.scenario.traffic or distance_left_m(participant, found) <= ARRIVED_M:
+            return outcome
+        home = drawn_home(corridor, participant)
+        if home is None:
+            return outcome
+        again = self.planner.plan(participant, home, guide, self.fastest_mps)
+        self.records += again.records
+        return outcome if again.trajectory is None else again
 
     def _give_way(self, undrivable: tuple[Undrivable, ...]) -> bool:
         """Tighten the limits of vehicles that cannot be driven, or in traffic freeze them."""
@@ -326,19 +341,6 @@ class Rounds:
         return "" if self.round == 1 else f" (after {self.round} rounds)"
 
 
-def late_vehicles(participants: Sequence[Participant], found: Sequence[Trajectory]) -> dict[str, float]:
-    """Vehicles that were recorded to stand at their goal, do not come to it, and end how far [m] away."""
-    late = {}
-    for participant, trajectory in zip(participants, found, strict=True):
-        x, y, heading = trajectory.states[-1, :3]
-        end = shift_along(x, y, heading, trajectory.dimensions.rear_axle_to_centre_m)
-        away = float(np.hypot(*(participant.recording.poses[-1, :2] - end)))
-        stands = participant.recording.speeds_mps[-1] < STANDING_MPS and not participant.goes_on
-        if stands and away > ARRIVED_M:
-            late[participant.vehicle_id] = away
-    return late
-
-
 def _lateral(trajectory: Trajectory, bound: LateralBound) -> Lateral:
     """How a trajectory keeps its lateral bound, between its knots too."""
     size, times = trajectory.dimensions, trajectory.times_s
@@ -362,17 +364,6 @@ def _astray(kept: Lateral) -> tuple[str, str]:
     most = kept.excursion_m + kept.margin_m
     detail = f"its plan leaves the recorded path by {kept.excursion_m:.2f} m, more than {most:.2f} m"
     return "off_the_path", detail
-
-
-def late_text(late: Mapping[str, float], scenario: Scenario) -> str:
-    """Who does not come to its goal, in one line; empty where everybody does."""
-    told = []
-    for participant in scenario.participants:
-        if participant.vehicle_id in late:
-            why = driven_through(participant, scenario)
-            away = f"{participant.vehicle_id} by {late[participant.vehicle_id]:.1f} m"
-            told.append(f"{away} ({why})" if why else away)
-    return f"goal not reached: {', '.join(told)}" if told else ""
 
 
 def _undrivable_text(undrivable: Undrivable) -> str:

@@ -37,7 +37,6 @@ class Seeds:
 
     attempt: int = 0
     lattices: tuple[Lattice, ...] = ()
-    others: bool = False  # whether the lattices have other routes: all but those of the first attempt
     grown: _Growth | None = None  # the seed of the incumbent
     resumed: bool = False
 
@@ -78,10 +77,9 @@ def search_seeds(
     str
         Why there is no incumbent, where there is none.
     """
-    if not seeds.lattices or (seeds.attempt > 0 and not seeds.others):
+    if not seeds.lattices:
         began = time.perf_counter()
-        seeds.others = seeds.attempt > 0
-        seeds.lattices = make_lattices(scenario, guidance, config, others=seeds.others)
+        seeds.lattices = make_lattices(scenario, guidance, config)
         paths = sum(len(lattice.paths) for lattice in seeds.lattices)
         search.record("seed paths", "numpy", SolveStatus.FEASIBLE, began, nodes=paths)
     names = [participant.vehicle_id for participant in scenario.participants]

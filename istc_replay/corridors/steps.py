@@ -43,7 +43,8 @@ def make_steps(
     heading = np.stack([np.cos(guide.headings_rad), np.sin(guide.headings_rad)], axis=-1)
     standing = lengths < _STANDING_M
     along = np.where(standing[:, None], heading[:-1], chords / np.maximum(lengths, _STANDING_M)[:, None])
-    step = np.stack([np.zeros(len(chords)), np.maximum(reach_m, lengths)], axis=-1)
+    fastest = reach_m if guide.fastest_mps is None else np.minimum(reach_m, guide.fastest_mps * unit_s)
+    step = np.stack([np.zeros(len(chords)), np.maximum(fastest, lengths)], axis=-1)
     first = start_speed_mps * unit_s
     half_square = unit_s**2 / 2.0
     step[0, 0] = np.clip(min(first - limits.deceleration_mps2 * half_square, lengths[0]), 0.0, step[0, 1])

@@ -17,7 +17,8 @@ class Guidance:
     and as the NLP's first guess. `kind` is recorded or lane. `slack_rad` (K+1,) is how far from
     its heading the car may turn, None where the configuration tells it. `motion` is the drivable
     motion that it tells of, where there is one: a plan that needs no change. `others` are other
-    routes (R, 3) of the rear axle between its ends, in a crowded scene.
+    routes (R, 3) of the rear axle between its ends, in a crowded scene. `fastest_mps` (K,) is what the bends
+    of its path allow in each unit, None where layer 1 alone decides.
     """
 
     vehicle_id: str
@@ -30,3 +31,4 @@ class Guidance:
     slack_rad: FloatArray | None = None
     motion: Trajectory | None = None
     others: tuple[FloatArray, ...] = ()
+    fastest_mps: FloatArray | None = None

@@ -54,6 +54,22 @@ def test_eq_3_is_measured_from_the_guidance_whatever_the_frames(crossing: Callab
     assert again.objective(moved) == pytest.approx(problem.objective(moved))
 
 
+def test_who_would_move_aside_keeps_the_frames_that_it_has(crossing: Callable[..., Any]) -> None:
+    case = crossing(1, vehicles=3, units=5)
+    problem = case.problem()
+    z = np.array(problem.reference)
+    block, guide = problem.blocks[1], case.guidance[1]
+    left = np.array([-np.sin(guide.headings_rad[0]), np.cos(guide.headings_rad[0])])
+    step_m = float(np.hypot(*(guide.points_m[3] - guide.points_m[2])))
+    for aside_rad, follows in ((0.35, True), (0.55, False)):
+        moved = np.array(z)
+        moved[block.pivot[3:]] += np.tan(aside_rad) * step_m * left
+        frames = frames_about(problem, moved, case.guidance)
+        np.testing.assert_array_equal(frames[0].points_m, problem.corridors(z)[0].pivots_m)
+        expected = problem.corridors(moved)[1].pivots_m if follows else guide.points_m
+        np.testing.assert_array_equal(frames[1].points_m, expected)
+
+
 def test_vehicles_that_gave_way_among_obstacles_arrive_when_frames_follow_them(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:

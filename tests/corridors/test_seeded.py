@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -11,6 +12,7 @@ from istc_replay.bench import recorded_log
 from istc_replay.config import Config
 from istc_replay.coordinate import Planners, plan_part
 from istc_replay.corridors.formulation import default_limits
+from istc_replay.corridors.seed.seeding import make_lattices
 from istc_replay.corridors.seeded import Seeds
 from istc_replay.corridors.solve import find_corridors, solve_corridors
 from istc_replay.datatypes import Corridors, Guidance, Scenario, SolveStatus, WindowPlan
@@ -111,13 +113,24 @@ def test_who_cannot_be_driven_moves_otherwise_in_the_next_attempt(among_obstacle
     assert (after.path, after.places[6:8].tolist()) != (before.path, before.places[6:8].tolist())
 
 
-def test_attempts_after_the_first_have_other_routes_too(among_obstacles: Case) -> None:
+def test_seeds_are_planted_along_other_routes_too(among_obstacles: Case) -> None:
     scenario, guidance, config = among_obstacles
-    settings = config.corridors
-    limits = {p.vehicle_id: default_limits(settings) for p in scenario.participants}
-    seeds = Seeds()
-    find_corridors(scenario, guidance, settings, limits, 10.0, seeds)
-    first = [len(lattice.paths) for lattice in seeds.lattices]
-    seeds.again()
-    find_corridors(scenario, guidance, settings, limits, 10.0, seeds)
-    assert sum(len(lattice.paths) for lattice in seeds.lattices) > sum(first)
+    assert any(guide.others for guide in guidance)
+    alone = make_lattices(scenario, [replace(guide, others=()) for guide in guidance], config.corridors)
+    both = make_lattices(scenario, guidance, config.corridors)
+    assert sum(len(lattice.paths) for lattice in both) > sum(len(lattice.paths) for lattice in alone)
+
+
+def test_pivotal_points_are_no_faster_than_the_bends_of_a_seed_allow(among_obstacles: Case) -> None:
+    found = solved(among_obstacles)
+    tight = 0
+    for corridor, frame in zip(found.corridors, found.frames, strict=True):
+        assert frame.fastest_mps is not None
+        steps_m, own_m = (
+            np.hypot(*np.diff(points, axis=0).T) for points in (corridor.pivots_m, frame.points_m)
+        )
+        # The step along the frame's own is bounded; a cone of 0.4 beside it makes it a little longer.
+        most_m = np.maximum(frame.fastest_mps * CROWDED_UNIT_S, own_m) * np.hypot(1.0, 0.4)
+        assert (steps_m[1:] <= most_m[1:] + 1e-6).all()
+        tight += int((frame.fastest_mps < 5.0).sum())
+    assert tight

@@ -106,6 +106,11 @@ class Lattice:
         """Heading slack (K+1,) of the car-boxes of a motion."""
         return np.asarray(self._moves.slack_rad[motion.places, motion.path])
 
+    def fastest_mps(self, motion: Motion) -> FloatArray:
+        """Largest speed (K,) that a motion's path allows in each unit."""
+        speeds = self.paths[motion.path].speeds_mps[motion.places]
+        return np.asarray(np.minimum(speeds[:-1], speeds[1:]))
+
     def meeting(self, cubes_m: FloatArray, first_unit: int, gap_m: float) -> Met:
         """The moves that come nearer than the gap to another's cubes, unit by unit."""
         first = max(0, first_unit - self.first_unit)

@@ -25,9 +25,9 @@ _FEW_PATHS = 6
 
 
 def make_lattices(
-    scenario: Scenario, guidance: Sequence[Guidance], config: CorridorsConfig, *, others: bool = False
+    scenario: Scenario, guidance: Sequence[Guidance], config: CorridorsConfig
 ) -> tuple[Lattice, ...]:
-    """The lattice of every participant, with `others` along the other routes of its guidance too."""
+    """The lattice of every participant: along its guidance, and along that's other routes."""
     boxes = [o.boxes_m[0] for o in scenario.obstacles if (o.boxes_m == o.boxes_m[0]).all()]
     standing = np.array(boxes).reshape(-1, 4)
 
@@ -45,10 +45,9 @@ def make_lattices(
             return [path for path, ok in zip(some, known, strict=True) if ok]
 
         clear = reachable(paths)
+        clear += reachable(along_others(guide, around))
         if len(standing) and len(clear) < _FEW_PATHS:
             clear += reachable(detours(guide, around))
-        if others:
-            clear += reachable(along_others(guide, around))
         return Lattice(
             participant,
             guide,
@@ -87,6 +86,7 @@ def frames_of(repair: Repair, guidance: Sequence[Guidance]) -> tuple[Guidance, .
                 headings_rad=read_only(poses[:, 2]),
                 poses=read_only(path),
                 slack_rad=read_only(lattice.slack_rad(motion)),
+                fastest_mps=read_only(lattice.fastest_mps(motion)),
             )
         )
     return tuple(frames)
