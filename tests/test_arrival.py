@@ -8,7 +8,16 @@ import numpy as np
 import pytest
 
 from istc_replay.arrival import distance_left_m, drawn_home, late_text
-from istc_replay.datatypes import ARRIVED_M, Corridor, Participant, Trajectory, read_only
+from istc_replay.datatypes import (
+    ARRIVED_M,
+    Corridor,
+    Frame,
+    Participant,
+    Scenario,
+    Trajectory,
+    Window,
+    read_only,
+)
 from istc_replay.geometry import box_corners
 
 from .support.participants import straight_on
@@ -86,6 +95,8 @@ def test_a_cube_is_not_drawn_home_where_layer_1_does_not_lead_there(driver: Part
     assert drawn_home(wide((x + 1.2, y)), driver) is None
 
 
-def test_who_is_late_is_told_with_the_distance() -> None:
-    assert late_text({"7": 1.16, "9": 4.0}) == "goal not reached: 7 by 1.2 m, 9 by 4.0 m"
-    assert not late_text({})
+def test_who_is_late_is_told_with_the_distance(driver: Participant) -> None:
+    window = Window(0, 0, 6_000_000_000, 1.0, UNITS, Frame())
+    scenario = Scenario(window, (driver,), (), None, (), 1)
+    assert late_text({"1": 1.16}, scenario) == "goal not reached: 1 by 1.2 m"
+    assert not late_text({}, scenario)

@@ -12,7 +12,7 @@ from istc_replay.corridors import cbc, groups, neighbourhoods
 from istc_replay.corridors.cube_sizes import size_problem
 from istc_replay.corridors.polish import FEASIBLE_M, polish_about
 from istc_replay.corridors.relinearise import frames_about, with_references
-from istc_replay.datatypes import FloatArray, SolveRecord, SolveStatus
+from istc_replay.datatypes import FloatArray, SolveRecord, SolveStatus, read_only
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -27,6 +27,8 @@ _WORTH = 0.02
 #: Who ends nearer to its guidance than this has not given way for good [m].
 _BEHIND_M = 1.0
 _MUCH = 0.1
+#: Who steps less in the last unit of its guidance stops there; how near is at the goal, and near it [m].
+_STANDING_M, _AT_GOAL_M, _NEAR_GOAL_M = 0.05, 0.3, 3.0
 
 
 @dataclass(slots=True)
@@ -266,6 +268,36 @@ def _joined(
         own = problem.indices(part)
         z[own] = new[own]
     return z
+
+
+def bring_home(search: Search, guidance: Sequence[Guidance]) -> None:
+    """Hold the last pivotal points of who stops near its goal at the goal, where all choices allow it."""
+    if search.z is None:
+        return
+    began, problem = time.perf_counter(), search.problem
+    lower, upper = np.array(problem.lower), np.array(problem.upper)
+    held = 0
+    for block, guide in zip(problem.blocks, guidance, strict=True):
+        last, goal = block.pivot[-1], guide.points_m[-1]
+        stops = np.hypot(*(goal - guide.points_m[-2])) < _STANDING_M
+        if stops and _AT_GOAL_M < np.hypot(*(search.z[last] - goal)) < _NEAR_GOAL_M:
+            lower[last], upper[last] = goal - _AT_GOAL_M, goal + _AT_GOAL_M
+            held += 1
+    if not held:
+        return
+    lower, upper = np.maximum(lower, problem.lower), np.minimum(upper, problem.upper)
+    home = replace(problem, lower=read_only(lower), upper=read_only(upper))
+    found = None if np.any(lower > upper) else polish_about(home, search.z)
+    if found is not None:
+        search.problem, search.z, search.objective = home, found, home.objective(found)
+        search.found_by, search.exhausted = "goals held", False
+    search.record(
+        "goals held",
+        "piqp",
+        SolveStatus.INFEASIBLE if found is None else SolveStatus.FEASIBLE,
+        began,
+        objective=None if found is None else search.objective,
+    )
 
 
 def cramped(problem: CorridorProblem) -> list[tuple[str, int]]:

@@ -9,7 +9,16 @@ import numpy as np
 
 from istc_replay.corridors import proof
 from istc_replay.corridors.formulation import build_problem
-from istc_replay.corridors.incumbent import Search, cramped, fill, follow, gap_between, gives_way, grow_tree
+from istc_replay.corridors.incumbent import (
+    Search,
+    bring_home,
+    cramped,
+    fill,
+    follow,
+    gap_between,
+    gives_way,
+    grow_tree,
+)
 from istc_replay.corridors.joint_tree import USUAL
 from istc_replay.corridors.paper import PAPER_BIG_M, build_paper_problem
 from istc_replay.corridors.seeded import Seeds, search_seeds
@@ -92,6 +101,7 @@ def find_corridors(
             fill(search, tree.z, config, sized=not large_traffic)
         if not scenario.traffic and (not tree.exhausted or gives_way(search)):
             follow(search, guidance, rewritten, config)
+            bring_home(search, guidance)
     if search.z is not None and config.mode == "certified":
         return _outcome(search, config), search
     _prove(search, scenario, config)
