@@ -271,33 +271,49 @@ def _joined(
 
 
 def bring_home(search: Search, guidance: Sequence[Guidance]) -> None:
-    """Hold the last pivotal points of who stops near its goal at the goal, where all choices allow it."""
-    if search.z is None:
-        return
-    began, problem = time.perf_counter(), search.problem
+    """Hold the last pivotal points of who stops near its goal at the goal, where all choices allow it.
+
+    Parts of the window that never meet are judged each for itself.
+    """
+    for part in search.problem.parts:
+        near = [vehicle for vehicle in part if _stops_near(search, guidance, vehicle)]
+        if search.z is None or not near:
+            continue
+        began = time.perf_counter()
+        home = _at_goals(search.problem, guidance, near)
+        found = None if cramped(home) else polish_about(home, search.z)
+        if found is not None:
+            z = _joined(home, search.z, found, [part])
+            search.problem, search.z, search.objective = home, z, home.objective(z)
+            search.found_by, search.exhausted = "goals held", False
+        search.record(
+            "goals held",
+            "piqp",
+            SolveStatus.INFEASIBLE if found is None else SolveStatus.FEASIBLE,
+            began,
+            objective=None if found is None else search.objective,
+        )
+
+
+def _stops_near(search: Search, guidance: Sequence[Guidance], vehicle: int) -> bool:
+    """Whether a vehicle whose guidance stops at a goal ends beside it, and not far away."""
+    points = guidance[vehicle].points_m
+    if search.z is None or np.hypot(*(points[-1] - points[-2])) > _STANDING_M:
+        return False
+    away = np.hypot(*(search.z[search.problem.blocks[vehicle].pivot[-1]] - points[-1]))
+    return bool(_AT_GOAL_M < away < _NEAR_GOAL_M)
+
+
+def _at_goals(
+    problem: CorridorProblem, guidance: Sequence[Guidance], vehicles: Sequence[int]
+) -> CorridorProblem:
+    """The problem with the last pivotal points of some vehicles at their goals."""
     lower, upper = np.array(problem.lower), np.array(problem.upper)
-    held = 0
-    for block, guide in zip(problem.blocks, guidance, strict=True):
-        last, goal = block.pivot[-1], guide.points_m[-1]
-        stops = np.hypot(*(goal - guide.points_m[-2])) < _STANDING_M
-        if stops and _AT_GOAL_M < np.hypot(*(search.z[last] - goal)) < _NEAR_GOAL_M:
-            lower[last], upper[last] = goal - _AT_GOAL_M, goal + _AT_GOAL_M
-            held += 1
-    if not held:
-        return
-    lower, upper = np.maximum(lower, problem.lower), np.minimum(upper, problem.upper)
-    home = replace(problem, lower=read_only(lower), upper=read_only(upper))
-    found = None if np.any(lower > upper) else polish_about(home, search.z)
-    if found is not None:
-        search.problem, search.z, search.objective = home, found, home.objective(found)
-        search.found_by, search.exhausted = "goals held", False
-    search.record(
-        "goals held",
-        "piqp",
-        SolveStatus.INFEASIBLE if found is None else SolveStatus.FEASIBLE,
-        began,
-        objective=None if found is None else search.objective,
-    )
+    for vehicle in vehicles:
+        last, goal = problem.blocks[vehicle].pivot[-1], guidance[vehicle].points_m[-1]
+        lower[last] = np.maximum(lower[last], goal - _AT_GOAL_M)
+        upper[last] = np.minimum(upper[last], goal + _AT_GOAL_M)
+    return replace(problem, lower=read_only(lower), upper=read_only(upper))
 
 
 def cramped(problem: CorridorProblem) -> list[tuple[str, int]]:
