@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import heapq
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -33,10 +32,8 @@ from istc_replay.export.placing import (
     topic_name,
     unit_span_ns,
 )
+from istc_replay.export.stamped import Stamped
 from istc_replay.units import seconds_to_ns
-
-#: Time [ns], topic, message.
-Stamped = tuple[int, str, Any]
 
 _KINEMATICS = (
     "heading_rad",
@@ -49,39 +46,6 @@ _KINEMATICS = (
 #: States made messages of at a time.
 _ROWS = 8192
 _SIZES = ("length_m", "width_m", "wheelbase_m", "rear_axle_to_centre_m")
-
-
-def place(stamped: Stamped) -> tuple[int, str]:
-    """Where a message stands in a file.
-
-    MCAP's times are unsigned; a log may count from an origin in its midst.
-    """
-    return max(stamped[0], 0), stamped[1]
-
-
-def in_order(groups: Iterable[tuple[int, Iterable[Stamped]]]) -> Iterator[Stamped]:
-    """Give messages in their order in the file, holding back as few as possible.
-
-    Parameters
-    ----------
-    groups : iterable of (int, iterable of Stamped)
-        The start of each, ascending, and its messages, none of them before it. Messages of one
-        topic and instant keep their order.
-    """
-    held: list[Stamped] = []
-    for start_ns, messages_of_group in groups:
-        begin = (max(start_ns, 0), "")
-        ready = [stamped for stamped in held if place(stamped) < begin]
-        held = [stamped for stamped in held if place(stamped) >= begin]
-        yield from ready
-        held += messages_of_group
-        held.sort(key=place)
-    yield from held
-
-
-def merged(*sources: Iterable[Stamped]) -> Iterator[Stamped]:
-    """Join messages that are each in their order; of one topic and instant, in that of the sources."""
-    return heapq.merge(*sources, key=place)
 
 
 def recorded_messages(states: pl.DataFrame) -> Iterator[Stamped]:

@@ -32,10 +32,10 @@ from google.protobuf.timestamp_pb2 import Timestamp
 from istc_replay.config import VehiclesConfig
 from istc_replay.datatypes import FloatArray, Log, StaticScene, Window, WindowPlan
 from istc_replay.export.colours import EDGE, LANE, OBSTACLE, Colour
-from istc_replay.export.encode import Stamped, in_order, merged
 from istc_replay.export.film import Film, Frame, film
 from istc_replay.export.film_tracks import LAST_NS, Block, Track, blocks
 from istc_replay.export.placing import first_ns, planned_motions, topic_name
+from istc_replay.export.stamped import Stamped, in_order, merged
 from istc_replay.units import NS_PER_S
 
 MAP = "map"

@@ -8,8 +8,9 @@ import polars as pl
 from foxglove_schemas_protobuf.Log_pb2 import Log as LogMessage
 
 from istc_replay.datatypes import Certificate, Verdict, WindowPlan, WindowStatus
-from istc_replay.export.encode import Stamped, by_time, in_order, merged, place
+from istc_replay.export.encode import by_time
 from istc_replay.export.foxglove import timestamp
+from istc_replay.export.stamped import Stamped, in_order, merged, place
 from istc_replay.export.text import shortened, visible
 from istc_replay.units import seconds_to_ns
 

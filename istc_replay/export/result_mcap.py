@@ -15,12 +15,8 @@ from istc_replay.config import Config, parse_config
 from istc_replay.datatypes import Certificate, Log, WindowPlan
 from istc_replay.errors import ExportError
 from istc_replay.export.encode import (
-    Stamped,
     certificate_message,
     finding_messages,
-    in_order,
-    merged,
-    place,
     plan_messages,
     recorded_messages,
     scene_message,
@@ -30,6 +26,7 @@ from istc_replay.export.foxglove import foxglove_messages
 from istc_replay.export.foxglove_log import log_messages
 from istc_replay.export.hashed import HashedFile
 from istc_replay.export.placing import first_ns
+from istc_replay.export.stamped import Stamped, in_order, merged, place
 from istc_replay.export.summary import summary_text
 from istc_replay.ingest.result import repeatable_summary
 
