@@ -29,12 +29,12 @@ if TYPE_CHECKING:
 _SHARES = (1.0, 0.2, 0.05, 0.0125, 0.003)
 #: A QP takes as long as the fourth power of its size; a small one at least this part of a usual one.
 _LEAST_COST = 0.12
-#: QPs of pivotal points that a group gets at a time, and a pair at once; of points and cubes.
+#: QPs of pivotal points that a group gets at a time, and a vehicle or pair at once; of points and cubes.
 _STEP_NODES, _PAIR_NODES, _STEP_JOINT = 100, 400, 20
 #: Vehicles that are in each other's way, directly or not, are one group at once if they are no more.
 _AT_ONCE = 4
 #: A group of another vehicle is so many times as dear.
-_DEARER = 1.7
+_DEARER = 4.0
 #: Groups of less weight do not matter.
 _WEIGHT = 0.02
 
@@ -64,7 +64,7 @@ class GroupProof:
         self._qp = PivotQp(self.problem)
         self._relaxed = Relaxed.with_shares(self.problem, self._everyone, _SHARES)
         for vehicle in self._everyone:
-            self._search(frozenset([vehicle]), _STEP_NODES)
+            self._search(frozenset([vehicle]), _PAIR_NODES)
         self._pack()
 
     @property

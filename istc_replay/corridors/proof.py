@@ -11,7 +11,7 @@ import numpy as np
 from istc_replay.corridors import cbc, joint_tree, neighbourhoods
 from istc_replay.corridors.group_proof import GroupProof
 from istc_replay.corridors.incumbent import Search
-from istc_replay.corridors.joint_tree import QP_ROUNDING
+from istc_replay.corridors.joint_tree import QP_ROUNDING, USUAL
 from istc_replay.corridors.miqp import MilpModel, build_milp
 from istc_replay.corridors.pivot_qp import PivotQp
 from istc_replay.corridors.polish import polish
@@ -34,8 +34,9 @@ _LEAST_SHARE = 1e-3
 _FAR_COST = 20.0
 #: A quick proof has this part of the nodes.
 _QUICK_SHARE = 20
-#: Groups and the neighbourhoods before them have this part of the nodes of a tree of all.
-_GROUPS_SHARE = 2
+#: Groups have these parts of the QPs of a tree of all; neighbourhoods of two vehicles before them this one
+#: where they are as large as a usual problem, of smaller ones more.
+_GROUPS_SHARE, _JOINT_SHARE, _PAIRS_SHARE = 2, 5, 3
 #: Probing decides a half of the binaries at most, or little more.
 _PROBED = 3
 
@@ -74,9 +75,9 @@ def improve(search: Search, config: CorridorsConfig) -> None:
     began = time.perf_counter()
     problem = search.problem
     least = problem.least_cubes(search.z)
-    refined, nodes = neighbourhoods.improve(
-        problem, least, config.tree_proof_node_budget // _GROUPS_SHARE, together=2
-    )
+    two = 4 * max(block.units for block in problem.blocks)
+    budget = config.tree_proof_node_budget * USUAL // (_PAIRS_SHARE * two)
+    refined, nodes = neighbourhoods.improve(problem, least, budget, together=2)
     search.offer(polish(problem, problem.separations.best(refined)), "neighbourhoods")
     search.record(
         "neighbourhoods", "daqp, piqp", SolveStatus.FEASIBLE, began, objective=search.objective, nodes=nodes
@@ -119,7 +120,7 @@ def prove_by_groups(search: Search, config: CorridorsConfig) -> None:
     proof = GroupProof(search.problem, search.z, slack, config.group_vehicles_max)
     proof.run(config.tree_proof_node_budget / _GROUPS_SHARE)
     proof.put_together()
-    proof.close(config.joint_qp_budget // _GROUPS_SHARE)
+    proof.close(config.joint_qp_budget // _JOINT_SHARE)
     search.offer(proof.z, "groups")
     search.bound = max(search.bound, proof.bound)
     matter = [sorted(group) for group, weight in proof.packing.weights.items() if weight > 0.5]
