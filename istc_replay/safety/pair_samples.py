@@ -165,6 +165,44 @@ def _strings(values: NDArray[np.object_]) -> pl.Series:
     return pl.Series(values.tolist(), dtype=pl.String)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class _Near:
+    """Pairs that are near each other, or to contact: (n,) rows of boxes `i` and `j`, and what was measured.
+
+    `thw_s` is the headway of whoever follows, and `first_thw_s` that of the first.
+    """
+
+    i: IntArray
+    j: IntArray
+    gap_m: FloatArray
+    ttc_s: FloatArray
+    drac_mps2: FloatArray
+    margin_m: FloatArray
+    first_thw_s: FloatArray
+    thw_s: FloatArray
+
+
+def _near(
+    flat: FloatArray, speed: FloatArray, velocity: FloatArray, group: IntArray, audit: AuditConfig
+) -> _Near:
+    """Of boxes (n, 5), one `group` (n,) an instant, the pairs of an instant that are looked at."""
+    rss = rss_parameters(audit)
+    least = safe_distance_same(speed, np.zeros_like(speed), rss)
+    low, high = reach_hulls(flat, velocity, audit.horizon_s, least, audit.near_m)
+    i, j = overlapping_pairs(low, high, group)
+    a, b = flat[i], flat[j]
+    gap, ttc, drac = pair_measures(a, b, velocity[j] - velocity[i])
+    limits = (audit.rear_end_rad, audit.head_on_rad)
+    margin = rss_margin(a, b, (speed[i], speed[j]), rss, limits)
+    _, one = headway(a, b, speed[i], moving_mps=audit.moving_mps, same_path_rad=audit.rear_end_rad)
+    _, two = headway(b, a, speed[j], moving_mps=audit.moving_mps, same_path_rad=audit.rear_end_rad)
+    thw = np.fmin(one, two)
+    keep = np.flatnonzero(
+        (gap <= audit.near_m) | (ttc <= audit.horizon_s) | (thw <= audit.horizon_s) | (margin < 0.0)
+    )
+    return _Near(i[keep], j[keep], *(x[keep] for x in (gap, ttc, drac, margin, one, thw)))
+
+
 def _chunk_pairs(
     boxes: FloatArray,
     speeds: FloatArray,
@@ -174,36 +212,15 @@ def _chunk_pairs(
     audit: AuditConfig,
 ) -> dict[str, NDArray[np.generic]]:
     count = names.size
-    flat, speed = boxes.reshape(-1, 5), speeds.ravel()
+    flat, speed, bound = boxes.reshape(-1, 5), speeds.ravel(), bounds.ravel()
     velocity = np.stack([np.cos(flat[:, 2]), np.sin(flat[:, 2])], axis=-1) * speed[:, None]
-    rss = rss_parameters(audit)
-    least = safe_distance_same(speed, np.zeros_like(speed), rss)
-    low, high = reach_hulls(flat, velocity, audit.horizon_s, least, audit.near_m)
-    group = np.repeat(np.arange(times_ns.size), count)
-    i, j = overlapping_pairs(low, high, group)
-    a, b = flat[i], flat[j]
-    relative = velocity[j] - velocity[i]
-    gap, ttc, drac = pair_measures(a, b, relative)
-    limits = (audit.rear_end_rad, audit.head_on_rad)
-    margin = rss_margin(a, b, (speed[i], speed[j]), rss, limits)
-    _, one = headway(a, b, speed[i], moving_mps=audit.moving_mps, same_path_rad=audit.rear_end_rad)
-    _, two = headway(b, a, speed[j], moving_mps=audit.moving_mps, same_path_rad=audit.rear_end_rad)
-    thw = np.fmin(one, two)
-    keep = np.flatnonzero(
-        (gap <= audit.near_m) | (ttc <= audit.horizon_s) | (thw <= audit.horizon_s) | (margin < 0.0)
-    )
-    i, j = i[keep], j[keep]
-    gap, ttc, drac, margin, one, thw = (x[keep] for x in (gap, ttc, drac, margin, one, thw))
-    a, b, relative = flat[i], flat[j], relative[keep]
-    lead = np.where(np.isnan(thw), -1, np.where(thw == one, i, j))  # who follows
+    near = _near(flat, speed, velocity, np.repeat(np.arange(times_ns.size), count), audit)
+    i, j, gap, ttc = near.i, near.j, near.gap_m, near.ttc_s
+    a, b, relative = flat[i], flat[j], velocity[j] - velocity[i]
+    lead = np.where(np.isnan(near.thw_s), -1, np.where(near.thw_s == near.first_thw_s, i, j))  # who follows
     follower = np.where(lead < 0, -1, names[lead % count])
     angle = conflict_angle(a[:, 2], b[:, 2])
-    needed = [
-        _required(a, b, velocity[i], velocity[j], gap, ttc, audit),
-        _required(b, a, velocity[j], velocity[i], gap, ttc, audit),
-    ]
     changes = delta_v(a, b, relative)
-    bound = bounds.ravel()
     return {
         "first": names[i % count],
         "second": names[j % count],
@@ -213,13 +230,13 @@ def _chunk_pairs(
         "relative_speed_mps": np.hypot(relative[:, 0], relative[:, 1]),
         "ttc_s": ttc,
         "silhouette_m": silhouette_overlap(a, b, relative),
-        "drac_mps2": np.minimum(drac, HARDEST_BRAKING_MPS2),
-        "required_first_mps2": needed[0],
-        "required_second_mps2": needed[1],
+        "drac_mps2": np.minimum(near.drac_mps2, HARDEST_BRAKING_MPS2),
+        "required_first_mps2": _required(a, b, velocity[i], velocity[j], gap, ttc, audit),
+        "required_second_mps2": _required(b, a, velocity[j], velocity[i], gap, ttc, audit),
         "follower": follower.astype(np.float64),
         "follower_mps": np.where(lead < 0, np.nan, speed[lead]),
-        "thw_s": thw,
-        "rss_margin_m": margin,
+        "thw_s": near.thw_s,
+        "rss_margin_m": near.margin_m,
         "angle_rad": angle,
         "conflict_type": conflict_type(
             angle, (audit.rear_end_rad, audit.crossing_rad, audit.head_on_rad)
