@@ -11,7 +11,7 @@ import pytest
 from istc_replay.config import Config, parse_config, render_config
 from istc_replay.datatypes import LaneLine, MapBounds, SceneObstacle, StaticScene, VehicleInfo, read_only
 from istc_replay.ingest.log import read_log
-from istc_replay.windows import is_traffic, settled_config
+from istc_replay.windows import fitting_unit_s, is_traffic, settled_config, window_spans
 
 from .support.planning import scenarios
 from .support.tracks import driver, log_of
@@ -75,3 +75,30 @@ def test_settings_of_traffic_are_taken_where_none_are_set_and_settled_ones_stay(
     assert settled_config(log, own).corridors.milp_node_budget == 5000
     scene = log_of(driver("1", speed_mps=5.0))
     assert settled_config(scene, config) == config
+
+
+@pytest.mark.parametrize(
+    ("unit_s", "stride_s", "fits_s"),
+    [
+        (1.0, 4.0, 1.0),
+        (1.0, 2.5, 0.625),
+        (0.75, 3.0, 0.75),
+        (0.75, 4.0, 0.5),
+        (0.5, 2.2, 0.44),
+        (1.0, 0.4, 0.4),
+    ],
+)
+def test_in_steps_a_time_unit_divides_the_stride(unit_s: float, stride_s: float, fits_s: float) -> None:
+    steps = Config.model_validate({"window": {"start": "handed_over", "stride_s": stride_s}}).window
+    assert fitting_unit_s(unit_s, steps, traffic=False) == pytest.approx(fits_s, abs=1e-12)
+    assert fitting_unit_s(unit_s, steps, traffic=True) == unit_s
+    assert fitting_unit_s(unit_s, Config().window, traffic=False) == unit_s
+
+
+def test_in_steps_a_window_reaches_beyond_the_stride_as_far_as_it_takes_to_stand() -> None:
+    log = log_of(driver("1", speed_mps=5.0, seconds=12.0))
+    window = {"whole_log_s": 3.0, "horizon_s": 3.0, "stride_s": 3.0}
+    anew = window_spans(log, Config.model_validate({"window": window}))
+    steps = window_spans(log, Config.model_validate({"window": window | {"start": "handed_over"}}))
+    assert {length for _, length, _ in anew[:-1]} == {3_000_000_000}
+    assert {length for _, length, _ in steps[:-1]} == {5_000_000_000}  # 5 m/s at 3 m/s^2

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 from istc_replay.corridors.groups import search
 from istc_replay.corridors.problem import CorridorProblem, Limits
+from istc_replay.datatypes import read_only
 
 
 def violation(problem: CorridorProblem, z: np.ndarray) -> float:
@@ -65,3 +67,28 @@ def test_tightened_limits_are_smaller() -> None:
     tight = limits.tightened()
     assert tight.cone < limits.cone
     assert tight.deceleration_mps2 < limits.deceleration_mps2
+
+
+def test_the_first_step_of_who_was_handed_over_follows_its_steering(crossing: Callable[..., Any]) -> None:
+    case = crossing(0, vehicles=1)
+    driver = case.scenario.participants[0]
+    way, heading = driver.start.speed_mps * 1.0, driver.start.heading_rad
+
+    def aside_m(steering_rad: float) -> tuple[float, float]:
+        start = replace(driver.start, steering_rad=steering_rad, acceleration_mps2=0.0)
+        handed = replace(driver, start=start, ahead=read_only([[0.0, start.x_m, start.y_m, heading]]))
+        rows = replace(case, scenario=replace(case.scenario, participants=(handed,))).problem().rows
+        before = case.problem().rows
+        across = rows.weight[:, :2] @ [-np.sin(heading), np.cos(heading)]
+        own = np.flatnonzero((across > 0.99) & (rows.index[:, 2] < 0))
+        assert len(rows.lower) == len(before.lower) + 1
+        offset = np.array([-np.sin(heading), np.cos(heading)]) @ [start.x_m, start.y_m]
+        return float(rows.lower[own[-1]] - offset), float(rows.upper[own[-1]] - offset)
+
+    low, high = aside_m(0.0)
+    assert (low, high) == pytest.approx((-0.75, 0.75))
+    low, high = aside_m(0.1)
+    turned = way * np.tan(0.1) / driver.dimensions.wheelbase_m
+    straight = way * turned / 2.0 + driver.dimensions.rear_axle_to_centre_m * np.sin(turned)
+    assert (low + high) / 2.0 == pytest.approx(straight)
+    assert high - low == pytest.approx(1.5 + straight)

@@ -18,7 +18,7 @@ from istc_replay.datatypes import (
     read_only,
 )
 from istc_replay.guidance.build import build_guidance, recorded_speed_mps
-from istc_replay.guidance.path import Path, constant_speed_then_stop, eased
+from istc_replay.guidance.path import Path, constant_speed_then_stop, eased, standing_in_the_end
 
 from ..support.participants import CAR
 
@@ -161,3 +161,13 @@ def test_a_car_that_is_handed_over_comes_to_its_speed_and_brakes_to_stand_at_the
     assert (np.diff(speed) / 0.05 <= 1.0 + 0.05).all()
     if length_m > 50.0:
         assert np.interp(30.0, arc[:-1], speed) == pytest.approx(5.0, abs=0.05)
+
+
+def test_who_has_to_stand_in_the_end_brakes_as_late_as_it_can() -> None:
+    times = np.linspace(0.0, 6.0, 61)
+    arc = standing_in_the_end(times, 5.0 * times, 3.0)
+    speeds = np.diff(arc) / 0.1
+    assert np.allclose(speeds[:43], 5.0)  # 5/3 s before the end
+    assert np.allclose(np.diff(speeds[44:]), -0.3)
+    assert speeds[-1] == pytest.approx(0.15)
+    assert np.array_equal(standing_in_the_end(times, np.zeros(61), 3.0), np.zeros(61))

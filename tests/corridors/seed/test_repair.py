@@ -123,3 +123,16 @@ def test_what_is_kept_from_round_to_round_changes_nothing(
     for a, b in zip(kept.motions, anew.motions, strict=True):
         assert a.path == b.path
         assert a.places.tolist() == b.places.tolist()
+
+
+def test_cars_that_were_handed_over_close_to_each_other_find_a_way_from_there(meeting: Any) -> None:
+    # Boxes 0.1 m nearer than the gap at the start: places of half a metre tell no better.
+    starts = [(-15.0, 0.0, 0.0), (-15.0, 2.2, 0.0)]
+    lattices = meeting(starts)[2]
+    assert not Repair(lattices, 0.3, 0).run(20, 0)
+    for lattice in lattices:
+        lattice.handed = True
+    handed = Repair(lattices, 0.3, 0)
+    assert handed.run(20, 0)
+    later = [motion.cubes_m[3:] for motion in handed.motions]
+    assert np.maximum(later[1][:, 2] - later[0][:, 3], np.abs(later[1][:, 0] - later[0][:, 1])).min() >= 0.0
