@@ -10,7 +10,7 @@ from istc_replay.datatypes import WindowPlan
 from istc_replay.errors import SolveError
 from istc_replay.field import Field, Repairs, prepare
 from istc_replay.guidance.build import build_guidance
-from istc_replay.handover import handed_over
+from istc_replay.handover import handed_over, motion_before
 from istc_replay.jam import jammed
 from istc_replay.rounds import Rounds
 from istc_replay.scenario import build_scenario
@@ -122,6 +122,9 @@ def _plan_span(
             else build_scenario(part, config, unit_s, users=users, handed=handed, bounds=bounds)
         )
         tried.append(_begin(scenario, config, planners.of(scenario), progress, repairs))
+        if stepping:
+            ready = tried[-1].ready
+            tried[-1].before = motion_before(before, ready.scenario, ready.guidance)
         if unit_s is not None:
             tried[-1].leave_the_tree()
         plan = tried[-1].run()

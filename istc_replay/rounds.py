@@ -12,7 +12,7 @@ from istc_replay.arrival import distance_left_m, drawn_home, late_text, late_veh
 from istc_replay.bicycle import dense_motion
 from istc_replay.corridors.formulation import default_limits
 from istc_replay.corridors.seeded import Seeds
-from istc_replay.corridors.solve import bounded, find_corridors, prove_corridors
+from istc_replay.corridors.solve import bounded, find_corridors, go_on, prove_corridors
 from istc_replay.datatypes import ARRIVED_M, SolveStatus, WindowPlan, WindowStatus
 from istc_replay.field import Field, least_cover
 from istc_replay.geometry import shift_along
@@ -70,6 +70,7 @@ class Rounds:
     seeds: Seeds | None = field(default_factory=Seeds)
     kept: tuple[tuple[int, float], WindowPlan, Search | None] | None = None
     search: Search | None = None  # of the last round
+    before: tuple[Guidance, ...] = ()  # in steps, how the plan before goes on
     stuck: bool = False
     _known: dict[tuple[str, bytes], TrajectoryOutcome] = field(default_factory=dict)
     _beside: dict[tuple[str, bytes], Lateral] = field(default_factory=dict)
@@ -120,8 +121,11 @@ class Rounds:
                 or self._reseed(corridors.status is SolveStatus.LIMIT)
             ):
                 return None
-            status = WindowStatus.CONFLICT_LEFT if corridors.conflicts else WindowStatus.NO_CORRIDORS
-            return self._settled(status, corridors.reason + self._after(), corridors)
+            going_on = self._going_on()
+            if going_on is None:
+                status = WindowStatus.CONFLICT_LEFT if corridors.conflicts else WindowStatus.NO_CORRIDORS
+                return self._settled(status, corridors.reason + self._after(), corridors)
+            corridors = going_on
         outcomes = self._trajectories(corridors)
         undrivable = tuple(o.undrivable for o in outcomes if o.undrivable is not None)
         found = tuple(o.trajectory for o in outcomes if o.trajectory is not None)
@@ -209,6 +213,18 @@ class Rounds:
         self.seconds["corridors"] += time.perf_counter() - began
         self.records += corridors.records
         return corridors
+
+    def _going_on(self) -> Corridors | None:
+        """Corridors about the plan before, once; None where there are none."""
+        frames, self.before = self.before, ()
+        if not frames:
+            return None
+        began = time.perf_counter()
+        scenario, guidance = self.ready.scenario, self.ready.guidance
+        found = go_on(frames, scenario, guidance, self._settings(), self.limits, self.fastest_mps)
+        self.seconds["corridors"] += time.perf_counter() - began
+        self.records += found.records
+        return found if found.corridors else None
 
     def _settings(self) -> CorridorsConfig:
         """Layer 1's settings with the gaps of this window."""

@@ -14,8 +14,11 @@ from istc_replay import coordinate
 from istc_replay.bench import recorded_log
 from istc_replay.config import Config, parse_config
 from istc_replay.coordinate import Planners, plan_part
+from istc_replay.corridors.formulation import default_limits
+from istc_replay.corridors.solve import go_on
 from istc_replay.datatypes import SOUND, Log, WindowOutcome, WindowPlan, WindowStatus
 from istc_replay.fallback import FOUND_BY, carried_on
+from istc_replay.handover import motion_before
 from istc_replay.pipeline.judge import judged
 from istc_replay.pipeline.replay import replay_read
 from istc_replay.pipeline.windows import plan_windows
@@ -57,6 +60,20 @@ CASES = [
 ]
 
 
+def assert_corridors_about(before: WindowPlan, shifted: WindowPlan, config: Config) -> None:
+    """Layer 1 written about the motion of the plan before has it as a solution, and finds one as good."""
+    scenario = shifted.scenario
+    frames = motion_before(before, scenario, shifted.guidance)
+    limits = {p.vehicle_id: default_limits(config.corridors) for p in scenario.participants}
+    found = go_on(frames, scenario, shifted.guidance, config.corridors, limits, 10.0)
+    assert len(found.corridors) == len(scenario.participants)
+    pivots = [frame.points_m for frame in frames]
+    references = [guide.points_m for guide in shifted.guidance]
+    away = [float(((p - r) ** 2).sum()) for p, r in zip(pivots, references, strict=True)]
+    assert found.objective is not None
+    assert found.objective <= 10.0 * sum(away) + 1e-6
+
+
 @pytest.mark.parametrize(("scene", "step"), CASES)
 def test_whatever_the_solvers_find_the_plan_before_is_one_that_passes_every_check(
     scene: str | int, step: tuple[float, float]
@@ -71,6 +88,7 @@ def test_whatever_the_solvers_find_the_plan_before_is_one_that_passes_every_chec
         again = judged(shifted, part, config, before.plan)
         assert again.plan.status in SOUND, again.plan.reason
         assert len(again.plan.trajectories) == len(before.plan.trajectories)
+        assert_corridors_about(before.plan, shifted, config)
 
 
 def test_a_plan_that_reaches_further_goes_on_window_after_window() -> None:

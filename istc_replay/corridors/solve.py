@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import time
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -20,7 +21,10 @@ from istc_replay.corridors.incumbent import (
     grow_tree,
 )
 from istc_replay.corridors.joint_tree import USUAL
+from istc_replay.corridors.neighbourhoods import improve
 from istc_replay.corridors.paper import PAPER_BIG_M, build_paper_problem
+from istc_replay.corridors.polish import polish_about
+from istc_replay.corridors.relinearise import with_references
 from istc_replay.corridors.seeded import Seeds, search_seeds
 from istc_replay.datatypes import Conflict, Corridors, SolveStatus
 
@@ -106,6 +110,40 @@ def find_corridors(
         return _outcome(search, config), search
     _prove(search, scenario, config)
     return _outcome(search, config), None
+
+
+def go_on(
+    frames: Sequence[Guidance],
+    scenario: Scenario,
+    guidance: Sequence[Guidance],
+    config: CorridorsConfig,
+    limits: Mapping[str, Limits],
+    speed_max_mps: float,
+) -> Corridors:
+    """Corridors about a motion that keeps all rows written about itself, and then better ones beside it.
+
+    Parameters
+    ----------
+    frames : sequence of Guidance
+        Of `handover.motion_before`.
+    scenario, guidance, config, limits, speed_max_mps
+        As of `find_corridors`.
+    """
+    began = time.perf_counter()
+    problem = with_references(build_problem(scenario, frames, config, limits, speed_max_mps), guidance)
+    search = Search(problem, frames=tuple(frames))
+    if _refused(problem) is None:
+        z = np.zeros(problem.size)
+        for block, frame in zip(problem.blocks, frames, strict=True):
+            z[block.pivot[1:]] = frame.points_m[1:]
+        polished = polish_about(problem, problem.least_cubes(z))
+        search.offer(polished, "about the plan before")
+        if polished is not None:
+            better, _ = improve(problem, problem.least_cubes(polished), config.tree_node_budget // 4)
+            search.offer(polish_about(problem, better), "about the plan before")
+    status = SolveStatus.INFEASIBLE if search.z is None else SolveStatus.FEASIBLE
+    search.record("about the plan before", "daqp, piqp", status, began)
+    return _outcome(search, config)
 
 
 def prove_corridors(search: Search, scenario: Scenario, config: CorridorsConfig) -> Corridors:
