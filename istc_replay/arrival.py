@@ -10,8 +10,7 @@ import numpy as np
 from istc_replay.apart import driven_through
 from istc_replay.corridors.blocks import car_box_m
 from istc_replay.datatypes import ARRIVED_M, read_only
-from istc_replay.geometry import shift_along
-from istc_replay.guidance.build import STANDING_MPS
+from istc_replay.geometry import box_poses
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -25,11 +24,10 @@ _HOME_M = 0.6
 def distance_left_m(participant: Participant, trajectory: Trajectory) -> float:
     """How far from where it was recorded to stand a vehicle ends [m]; 0 for who was not."""
     recording = participant.recording
-    if recording.speeds_mps[-1] >= STANDING_MPS or participant.goes_on:
+    if not recording.ends_standing or participant.goes_on:
         return 0.0
-    x, y, heading = trajectory.states[-1, :3]
-    end = shift_along(x, y, heading, trajectory.dimensions.rear_axle_to_centre_m)
-    return float(np.hypot(*(recording.poses[-1, :2] - end)))
+    end = box_poses(trajectory.states[-1], trajectory.dimensions.rear_axle_to_centre_m)
+    return float(np.hypot(*(recording.poses[-1] - end)[:2]))
 
 
 def late_vehicles(participants: Sequence[Participant], found: Sequence[Trajectory]) -> dict[str, float]:

@@ -30,6 +30,7 @@ from istc_replay.datatypes.result import Result
 from istc_replay.datatypes.scenario import (
     CROWD,
     SMALL_CROWD,
+    STANDING_MPS,
     Exclusion,
     Frame,
     LateralBound,
@@ -58,6 +59,7 @@ __all__ = [
     "CROWD",
     "SMALL_CROWD",
     "SOUND",
+    "STANDING_MPS",
     "Certificate",
     "Change",
     "ChannelInfo",

@@ -9,6 +9,8 @@ from istc_replay.datatypes.scene import Dimensions
 
 #: So many vehicles among standing obstacles make a crowded scene; so many at most are a small crowd.
 CROWD, SMALL_CROWD = 4, 4
+#: Below this speed a recorded vehicle counts as standing.
+STANDING_MPS = 0.5
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,6 +61,11 @@ class Recording:
     times_s: FloatArray
     poses: FloatArray
     speeds_mps: FloatArray
+
+    @property
+    def ends_standing(self) -> bool:
+        """Whether the vehicle stands at its end: it has a goal, and that is where."""
+        return bool(self.speeds_mps[-1] < STANDING_MPS)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

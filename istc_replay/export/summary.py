@@ -12,7 +12,6 @@ import polars as pl
 
 from istc_replay.datatypes import ARRIVED_M, SOUND, Verdict
 from istc_replay.geometry import box_poses
-from istc_replay.guidance.build import STANDING_MPS
 from istc_replay.ingest.result import SUMMARY_SCHEMA
 from istc_replay.safety.certificate import overall
 from istc_replay.safety.rules import worst_first
@@ -300,7 +299,7 @@ def _motion(participant: Participant, trajectory: Trajectory) -> dict[str, Any]:
         "length_m": float(np.hypot(steps[:, 0], steps[:, 1]).sum()),
     }
     recording = participant.recording
-    if recording.speeds_mps[-1] < STANDING_MPS:  # it has a goal: where it stands at the end
+    if recording.ends_standing:
         end = box_poses(trajectory.states[-1], trajectory.dimensions.rear_axle_to_centre_m)
         distance = float(np.hypot(*(recording.poses[-1] - end)[:2]))
         arrived = distance <= ARRIVED_M

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from istc_replay.datatypes import FloatArray, Guidance, read_only
+from istc_replay.datatypes import STANDING_MPS, FloatArray, Guidance, read_only
 from istc_replay.guidance.other_routes import other_routes, standing_obstacles
 from istc_replay.guidance.path import (
     Path,
@@ -24,8 +24,6 @@ if TYPE_CHECKING:
 
 #: A start farther than this from its lane line does not follow it.
 LANE_REACH_M = 5.0
-#: Below this speed a recorded vehicle counts as standing.
-STANDING_MPS = 0.5
 _SAMPLES_PER_UNIT = 10
 #: How far on it has come back to its path to a third [m], and rounding in times [s].
 _BACK_M, _INSTANT_S = 10.0, 1e-6
@@ -150,8 +148,7 @@ def _continued(
 
 def _stands(participant: Participant) -> bool:
     """Whether it is recorded to stand in the end."""
-    recording = participant.route or participant.recording
-    return bool(recording.speeds_mps[-1] < STANDING_MPS)
+    return (participant.route or participant.recording).ends_standing
 
 
 def _path(

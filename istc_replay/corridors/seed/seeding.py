@@ -18,8 +18,6 @@ if TYPE_CHECKING:
     from istc_replay.config import CorridorsConfig
     from istc_replay.datatypes import Participant, Scenario
 
-#: Below this speed at the end of its recording a vehicle has a goal there.
-_STANDING_MPS = 0.5
 #: Who has fewer candidate paths past the obstacles gets detours too.
 _FEW_PATHS = 6
 
@@ -56,7 +54,7 @@ def make_lattices(
             scenario.obstacles,
             gap,
             participant.priority * config.reference_weight,
-            stops=bool(participant.recording.speeds_mps[-1] < _STANDING_MPS),
+            stops=participant.recording.ends_standing,
             overlap_max_m=CLEAR_M if clear else DEEPEST_M,
         )
 
