@@ -11,8 +11,9 @@ import pytest
 
 from istc_replay.bench import recorded_log
 from istc_replay.config import Config, parse_config
-from istc_replay.datatypes import Log, Verdict
+from istc_replay.datatypes import Log, Verdict, WindowPlan, WindowStatus
 from istc_replay.errors import ScenarioError
+from istc_replay.handover import handed_over
 from istc_replay.pipeline.assembly import Replay
 from istc_replay.pipeline.replay import replay_read
 from istc_replay.pipeline.windows import plan_windows
@@ -115,6 +116,31 @@ def test_from_the_recording_every_window_starts_anew(log: Log) -> None:
 def test_a_chain_is_planned_from_its_first_window_on(log: Log) -> None:
     with pytest.raises(ScenarioError, match="from the first on"):
         plan_windows(log, config(), [1])
+
+
+def test_what_lies_ahead_begins_at_the_instant_and_goes_on_in_time(
+    synthetic_plan: tuple[Log, list[WindowPlan]],
+) -> None:
+    plan = synthetic_plan[1][0]
+    own = plan.trajectories[0]
+    knots = own.times_s.tolist()
+    for at_s in (knots[0], knots[3], (knots[3] + knots[4]) / 2.0, knots[-1]):
+        handed = handed_over(plan, plan.scenario.window.start_ns + round(at_s * 1e9))[own.vehicle_id]
+        np.testing.assert_array_equal(handed.ahead[0], [0.0, *handed.pose])
+        assert (np.diff(handed.ahead[:, 0]) > 1e-6).all()
+        assert handed.ahead[-1, 0] == pytest.approx(knots[-1] - at_s)
+
+
+@pytest.mark.parametrize("status", list(WindowStatus))
+def test_a_plan_that_does_not_hold_hands_nobody_over(
+    synthetic_plan: tuple[Log, list[WindowPlan]], status: WindowStatus
+) -> None:
+    plan = replace(synthetic_plan[1][0], status=status)
+    handed = handed_over(plan, plan.scenario.window.start_ns)
+    holds = status in (WindowStatus.CERTIFIED, WindowStatus.PARTIAL, WindowStatus.GOAL_NOT_REACHED)
+    there = {own.vehicle_id for own in plan.trajectories if own.times_s[0] == 0.0}
+    assert set(handed) == (there if holds else set())
+    assert not handed_over(None, 0)
 
 
 # --- a scene planned in steps ----------------------------------------------------------------
