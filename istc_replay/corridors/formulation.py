@@ -110,7 +110,18 @@ def assemble(
 ) -> CorridorProblem:
     """Add objective, witnesses and separations to the rows of all vehicles.
 
-    With `decide`, separations and options that the bounds decide are left out.
+    Parameters
+    ----------
+    blocks : tuple of Block
+        The vehicles' variables, in order.
+    rows : Rows
+        What always holds.
+    bounds : tuple of (n,) arrays
+        Least and largest value of each variable [m].
+    scenario, config : Scenario, CorridorsConfig
+        Obstacles; weights and gaps.
+    decide : bool
+        Whether to leave out separations and options that the bounds decide.
     """
     lower, upper = bounds
     size = len(lower)

@@ -142,7 +142,21 @@ def difference_rows(
     lower: FloatArray | float,
     upper: FloatArray | float,
 ) -> Rows:
-    """Rows of weights (R, m, 2) times the pivotal points of units `at` (R, m); p(0) is a constant."""
+    """Rows lower <= sum of weights times pivotal points <= upper.
+
+    Parameters
+    ----------
+    block : Block
+        The vehicle; its p(0) is a constant.
+    equation : str
+        Which one the rows are of.
+    at : (R, m) array
+        Units of the pivotal points.
+    weights : (R, m, 2) array
+        Of x and y of each.
+    lower, upper : (R,) arrays or float
+        Bounds [m].
+    """
     index = block.pivot[at]  # (R, m, 2)
     fixed = index == CONSTANT
     constant = np.where(fixed, weights * block.start_m, 0.0).sum(axis=(1, 2))

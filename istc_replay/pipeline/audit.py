@@ -76,8 +76,25 @@ def audit_read(
 ) -> tuple[str, int, list[Path]]:
     """Audit a log or result: what was found as Markdown or JSON, the exit code, the files if there are any.
 
-    Up to `clips` serious encounters and findings of single vehicles, worst first, get a clip of the
-    log, which the report leads to.
+    Parameters
+    ----------
+    source : Path
+        A log, a result.mcap or its folder.
+    config : Config, optional
+        Settings; those of the result, or the defaults, otherwise.
+    folder : Path, optional
+        Where files go; none are written otherwise.
+    formats : sequence of AuditFormat
+        Which files.
+    fail_on : Severity
+        From which severity on the exit code is 1.
+    clips : int
+        So many serious encounters and findings of single vehicles, worst first, get a clip of the
+        log, which the report leads to.
+    as_json : bool
+        Whether to tell it as JSON.
+    reading : callable, optional
+        Told the bytes of the log that are read, and their number.
     """
     from istc_replay import __version__
     from istc_replay.export.audit import audit_exit_code, audit_markdown, audit_summary, write_audit

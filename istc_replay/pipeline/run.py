@@ -37,6 +37,15 @@ def run_log(
 ) -> Replay:
     """Replay one log and write result.mcap, view.rrd, report.html and summary.json to a folder.
 
+    Parameters
+    ----------
+    path, folder : Path
+        The log, and where to write.
+    config : Config
+        The settings.
+    progress, jobs, live, reading
+        As of `replay.replay_log`.
+
     Raises
     ------
     ExportError
@@ -77,6 +86,21 @@ def write_run(
     products: Collection[str] = RUN_OUTPUTS,
 ) -> None:
     """Write the `products` and summary.json beside a replay's result.mcap.
+
+    Parameters
+    ----------
+    done : Replay
+        Its result.mcap is in the folder.
+    folder : Path
+        Where to write.
+    config : Config
+        Of the view.
+    title : str
+        Of the report.
+    stages : Stages, optional
+        Collects the time of each stage.
+    products : collection of str
+        Which of `RUN_OUTPUTS` to write.
 
     Raises
     ------

@@ -46,7 +46,21 @@ def window_section(
     *,
     folded: bool,
 ) -> Html:
-    """Build the section of one window; `folded` hides all but the verdict until it is opened."""
+    """Build the section of one window.
+
+    Parameters
+    ----------
+    entry : Row
+        The window's figures, of the summary.
+    certificates, solves : sequence of Row, DataFrame
+        Its checks, and its rows of the solves table.
+    verdict : Verdict
+        What is said of it in a word.
+    pictures : Html, optional
+        What it looks like.
+    folded : bool
+        Whether all but the verdict is hidden until it is opened.
+    """
     start_ns = int(entry["start_ns"])
     parts = [
         changed_section(entry),
