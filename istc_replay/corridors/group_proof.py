@@ -15,6 +15,7 @@ import numpy as np
 
 from istc_replay.corridors.conflict_tree import CONFLICT_M, Group
 from istc_replay.corridors.joint_tree import USUAL, JointTree, Relaxed
+from istc_replay.corridors.neighbourhoods import join
 from istc_replay.corridors.packing import Packing, pack
 from istc_replay.corridors.pivot_qp import PivotQp
 from istc_replay.corridors.polish import polish
@@ -35,6 +36,8 @@ _STEP_NODES, _PAIR_NODES, _STEP_JOINT = 100, 400, 20
 _AT_ONCE = 4
 #: A group of another vehicle is so many times as dear.
 _DEARER = 4.0
+#: Those who move along when plans are put together have a QP of at most so many usual ones' size.
+_JOINING = 1.5
 #: Groups of less weight do not matter.
 _WEIGHT = 0.02
 
@@ -108,17 +111,37 @@ class GroupProof:
             self._pack()
 
     def put_together(self) -> None:
-        """Take the plans of the groups that matter, with the others as they are, where that is better."""
+        """Take the plans of the groups that matter; who is still in the way of others then plans anew."""
         z = np.array(self.problem.least_cubes(self.z))
-        for group in sorted(self.trees, key=lambda g: (len(g), sorted(g))):
-            if self.trees[group].clear is not None and self._weight(group) > 1.0 - _WEIGHT:
+        for group, tree in self.trees.items():
+            if tree.clear is not None and self._weight(group) > 1.0 - _WEIGHT:
                 self._put(z, group)
-        table = self.problem.separations
-        if table.slack(z).max(axis=1, initial=-np.inf).min(initial=np.inf) < -CONFLICT_M:
+        moved = self._least_cover(z)
+        joined: FloatArray | None = z
+        if moved:
+            others = frozenset(self._everyone) - frozenset(moved)
+            most = int(_JOINING * USUAL / max(2 * block.units for block in self.problem.blocks))
+            joined, nodes, _ = join(self.problem, z, moved, others, max(2, min(self.together, most)))
+            self.nodes += nodes
+        if joined is None:
             return
-        better = polish(self.problem, table.best(z))
+        better = polish(self.problem, self.problem.separations.best(joined))
         if better is not None and self.problem.objective(better) < self.problem.objective(self.z):
             self.z = better
+
+    def _least_cover(self, z: FloatArray) -> list[int]:
+        """Few vehicles without whom z has no conflict, those with the most conflicts first."""
+        table = self.problem.separations
+        open_ = table.slack(z).max(axis=1, initial=-np.inf) < -CONFLICT_M
+        pairs = [{int(i), int(j)} for i, j in zip(table.first[open_], table.second[open_], strict=True)]
+        if table.obstacle[open_].any():
+            return []
+        cover: list[int] = []
+        while pairs:
+            most = max(self._everyone, key=lambda vehicle: (sum(vehicle in p for p in pairs), -vehicle))
+            cover.append(most)
+            pairs = [pair for pair in pairs if most not in pair]
+        return cover
 
     @property
     def _everyone(self) -> range:
