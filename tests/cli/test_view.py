@@ -27,3 +27,16 @@ def test_view_without_a_screen_says_what_to_do(
 
 def test_a_log_is_no_result(call: Command, tmp_path: Path) -> None:
     expect_failure(call("view", TURN_FIRST, "--save", tmp_path / "v.rrd"), 3, "not a result")
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        (["--save", "v.rrd", "--bundle", "site"], "give one of --web, --save, --bundle and --connect"),
+        (["--save", "v.rrd", "--at", "2"], "does not say where it opens; use --bundle or --web"),
+    ],
+)
+def test_a_view_goes_to_one_place_that_can_hold_all_that_is_asked_for(
+    call: Command, tmp_path: Path, options: list[str], words: str
+) -> None:
+    expect_failure(call("view", tmp_path / "result.mcap", *options), 2, words)

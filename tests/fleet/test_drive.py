@@ -118,7 +118,7 @@ def test_a_log_that_kills_its_worker_is_named_and_every_other_is_done(
     for name in ("crash", "hungry", "abort"):
         (logs / f"{name}.mcap").write_bytes(fleet_logs.varied_log(1))
     summary = run_fleet(folder, logs, limits=Limits(600.0, 300.0))
-    assert summary.counts == {"done": 2, "inconclusive": 0, "failed": 3}
+    assert summary.counts == {"done": 2, "inconclusive": 0, "failed": 3}, summary.named
     errors = {Path(entry["log"]).stem: entry["error"] for entry in summary.named}
     assert "SIGSEGV: Fatal Python error: Segmentation fault (tried 2 times)" in errors["crash"]
     assert "more than the limit of 600 MB" in errors["hungry"] or "out of memory" in errors["hungry"]
