@@ -181,12 +181,13 @@ class Lattice:
         own = np.where(allowed, _OVERLAP_COST * weight / 10.0 * moves.deep, np.inf).astype(np.float32)
         left = LEVEL_M * (moves.last - np.arange(moves.shape[1])[:, None])  # (S, P)
         moving = [obstacle for obstacle in obstacles if not stands(obstacle)]
+        x, y = (np.ascontiguousarray(moves.points_m[..., axis]) for axis in (0, 1))
         out = np.empty((self.units, *moves.shape), dtype=np.float32)
         for unit in range(self.units):
-            away = ((moves.points_m - guide.points_m[unit + 1]) ** 2).sum(axis=-1)
+            away = (x - guide.points_m[unit + 1, 0]) ** 2 + (y - guide.points_m[unit + 1, 1]) ** 2
             if self.stops and (self.units - unit) * unit_s <= _LATE_S:
                 away = away + _LATE_COST * unit_s * np.maximum(left, 0.0)
-            np.add(own, moves.onward(weight * away), out=out[unit], casting="same_kind")
+            np.add(own, moves.onward((weight * away).astype(np.float32)), out=out[unit])
             for obstacle in moving:
                 box = obstacle.boxes_m[self.first_unit + unit]
                 if not np.isnan(box).any():

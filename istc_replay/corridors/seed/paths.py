@@ -158,10 +158,10 @@ def _seed_path(
     """Cut a path into even places; None where it bends too much, unless it may be `sharp`."""
     arc = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(poses[:, :2], axis=0).T))])
     fine = np.arange(0.0, max(arc[-1], 2.0 * _SAMPLE_M), _SAMPLE_M)
-    bend = np.gradient(np.interp(fine, arc, poses[:, 2]), fine)
+    bend = np.gradient(np.interp(fine, arc, poses[:, 2]), _SAMPLE_M)
     if np.abs(bend).max() > _CURVATURE_MAX_1PM and not sharp:
         return None
-    turning = car.wheelbase_m * np.abs(np.gradient(bend, fine))
+    turning = car.wheelbase_m * np.abs(np.gradient(bend, _SAMPLE_M))
     by_side = np.sqrt(_LATERAL_MPS2 / np.maximum(np.abs(bend), 1e-3))
     by_rate = _STEERING_RATE_RADPS * (1.0 + (car.wheelbase_m * bend) ** 2) / np.maximum(turning, 1e-3)
     # The guidance's own speed is taken as drivable where only the sideways acceleration objects.
